@@ -118,7 +118,7 @@ class Names(_Column):
     @staticmethod
     def joined(*columns: "NDArray[np.int64] | pa.Array", mark: str = ":") -> "Names":
         """Names made of numbers or texts side by side, (n,) each, with a mark between them."""
-        parts = ((one if isinstance(one, pa.Array) else _arrow(one)).cast(pa.large_string()) for one in columns)
+        parts = ((one if isinstance(one, pa.Array) else arrow_of(one)).cast(pa.large_string()) for one in columns)
         return Names.of(pc.binary_join_element_wise(*parts, pa.scalar(mark, pa.large_string())))
 
     def prefixed(self, text: str) -> "Names":
@@ -151,7 +151,7 @@ class Names(_Column):
             chosen = np.flatnonzero(which) if which.dtype == bool else which.astype(np.int64, copy=False)
             if chosen.size and chosen.min() < 0:
                 chosen = np.where(chosen < 0, chosen + len(self), chosen)
-            return Names._from_arrow(self.arrow.take(_arrow(chosen)))
+            return Names._from_arrow(self.arrow.take(arrow_of(chosen)))
         number = index(which)
         if not -len(self) <= number < len(self):
             raise IndexError(f"name {number} of {len(self)}")
@@ -261,7 +261,8 @@ class RepeatedNames(_Column):
     @property
     def arrow(self) -> pa.Array:
         """Arrow's dictionary array."""
-        return pa.DictionaryArray.from_arrays(_arrow(self.numbers), Names.of(self.distinct).arrow)
+        numbers = arrow_of(np.asarray(self.numbers, dtype=np.int64))
+        return pa.DictionaryArray.from_arrays(numbers, Names.of(self.distinct).arrow)
 
     def over(self, names: Sequence[str]) -> NDArray[np.int64]:
         """(k,) number of each name among others, each of which is there once; -1 for one that is not there."""
@@ -350,10 +351,11 @@ def _encoded(names: Sequence[str], source: str) -> Names:
     return Names(np.frombuffer(b"".join(texts), np.uint8), ends)
 
 
-def _arrow(numbers: NDArray[np.int64]) -> pa.Array:
-    """Numbers as Arrow array, on the same memory."""
-    numbers = np.ascontiguousarray(numbers, dtype=np.int64)
-    return pa.Array.from_buffers(pa.int64(), numbers.size, [None, pa.py_buffer(numbers)])
+def arrow_of(values: NDArray[Any]) -> pa.Array:
+    """Numbers or truths as Arrow array, on the same memory where that can be; null for what is not finite."""
+    known = pa.py_buffer(np.packbits(np.isfinite(values), bitorder="little")) if values.dtype.kind == "f" else None
+    data = np.packbits(values, bitorder="little") if values.dtype.kind == "b" else np.ascontiguousarray(values)
+    return pa.Array.from_buffers(pa.from_numpy_dtype(values.dtype), values.size, [known, pa.py_buffer(data)])
 
 
 def _numbers_among(wanted: pa.Array, known: pa.Array) -> NDArray[np.int64]:

@@ -116,6 +116,9 @@ PANELS = ("start", "map", "images", "lists", "point", "questions")
 class Page:
     """A tab of the browser at a studio, what it complained of and what it asked for."""
 
+    longest, between = 15.0, 0.1
+    """s, for which it waits, and between two looks."""
+
     def __init__(self, browser: Any, running: Studio, width: int = 1280, **settings: Any) -> None:
         self.context = browser.new_context(viewport={"width": width, "height": 900}, accept_downloads=True, **settings)
         self.tab = self.context.new_page()
@@ -135,10 +138,10 @@ class Page:
 
     def until(self, script: str, argument: Any = None) -> None:
         """Wait until a script is true; Playwright's own waiting evaluates texts in the page, which that forbids."""
-        for _ in range(150):
+        for _ in range(int(self.longest / self.between)):
             if self.run(script, argument):
                 return
-            self.tab.wait_for_timeout(100)
+            self.tab.wait_for_timeout(1e3 * self.between)
         raise AssertionError(script)
 
     def show(self, panel: str) -> None:

@@ -32,7 +32,7 @@ from mgsgraph.studio.opened import Block
 from mgsgraph.text import many, two
 from mgsgraph.units import DEG, KM
 
-_NEIGHBOURS = 5
+NEIGHBOURS = 5
 """Nearest points whose heights are averaged."""
 _ROUNDS = 3
 """Iterations of the intersection: the ground's height depends on the position."""
@@ -124,15 +124,12 @@ class GroundModel:
         return self._ground(point, slopes, directions, sigma, surface)
 
     def _height_by(self, point: Array) -> tuple[float, float, str]:
-        """Height (m), its sigma (m) and what it is, of the nearest points: means weighted by the inverse squares of
-        distances (Shepard 1968).
-        """
+        """Height (m), its sigma (m) and what it is, of the nearest points: means weighted by distance."""
         assert self._tree is not None
-        count = min(_NEIGHBOURS, self._located.size)
+        count = min(NEIGHBOURS, self._block.located.size)
         distances, nearest = (np.atleast_1d(array) for array in self._tree.query(point, count))
-        heights, sigmas = self._heights(nearest), self._sigmas(nearest)
-        weights = 1.0 / np.maximum(distances, 1.0) ** 2
-        weights /= weights.sum()
+        points, weights = self._block.located[nearest], weights_by_distance(distances)
+        heights, sigmas = self._heights(points), self._sigmas(points)
         height = float(weights @ heights)
         spread = float(np.sqrt(weights @ (heights - height) ** 2 + weights @ sigmas**2))
         kind = "adjusted point" if self._block.adjusted else "a-priori place"
@@ -154,18 +151,13 @@ class GroundModel:
         places = np.concatenate([self._block.places, *self._block.grounds])
         return grid.around(places[np.all(np.isfinite(places), axis=1)], _AROUND)
 
-    @cached_property
-    def _located(self) -> Index:
-        """(m,) points with a place."""
-        return np.flatnonzero(np.all(np.isfinite(self._block.places), axis=1) & np.any(self._block.places, axis=1))
+    def _heights(self, points: Index) -> Array:
+        """(k,) m above the ellipsoid, of some points with a place."""
+        return np.asarray(geodetic(self._block.places[points], self._block.images[0].body)[:, 2])
 
-    def _heights(self, numbers: Index) -> Array:
-        """(k,) m above the ellipsoid, of some of these."""
-        return np.asarray(geodetic(self._block.places[self._located[numbers]], self._block.images[0].body)[:, 2])
-
-    def _sigmas(self, numbers: Index) -> Array:
+    def _sigmas(self, points: Index) -> Array:
         """(k,) m, of the same."""
-        covariances, points = self._block.covariances, self._located[numbers]
+        covariances = self._block.covariances
         if covariances is None:
             return np.zeros(points.size)
         up = east_north_up(self._block.places[points])[:, 2]
@@ -173,8 +165,16 @@ class GroundModel:
 
     @cached_property
     def _tree(self) -> KDTree | None:
-        places = self._block.places[self._located]  # a tree of many points is built fast, not balanced
-        return KDTree(places, balanced_tree=False, compact_nodes=False) if self._located.size else None
+        places = self._block.places[self._block.located]  # a tree of many points is built fast, not balanced
+        return KDTree(places, balanced_tree=False, compact_nodes=False) if len(places) else None
+
+
+def weights_by_distance(distances: Array) -> Array:
+    """(..., k) weights of the nearest points at distances (..., k) in m, inverse to their squares (Shepard 1968), whose
+    sum is 1.
+    """
+    weights = 1.0 / np.maximum(distances, 1.0) ** 2
+    return np.asarray(weights / weights.sum(axis=-1, keepdims=True))
 
 
 class Ellipse(NamedTuple):

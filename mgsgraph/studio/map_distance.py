@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 
-from mgsgraph.analysis.posterior import posterior_of_points
 from mgsgraph.errors import InputError
 from mgsgraph.files.output.table import plain
 from mgsgraph.geometry.records import Array
@@ -24,9 +23,7 @@ def distance(opened: Opened, names: tuple[str, str], plane: Array) -> dict[str, 
     """
     points = [_number(opened, name) for name in names if name]
     if len(points) == len(names) and opened.now.posterior is not None:
-        solution = opened.now.solution
-        alone = None if solution is None else posterior_of_points(solution, np.unique(points))
-        (section,) = replies(alone or opened.posterior(), Questions(pairs=(names,)))
+        (section,) = replies(opened.posterior_of(np.array(points)), Questions(pairs=(names,)))
         return {**plain(section.numbers), "sentence": ". ".join(section.sentences)}
     block = opened.block()
     places = ground_at(opened, plane)

@@ -10,14 +10,13 @@ from mgsgraph.geometry.body import east_north_up, geodetic
 from mgsgraph.geometry.records import Array, Index, Mask, thinned
 from mgsgraph.geometry.terrain import areoid_heights
 from mgsgraph.network import PointClass
+from mgsgraph.studio.linked import NEIGHBOURS, weights_by_distance
 from mgsgraph.studio.opened import Block
 
 MOST_TIES = 20_000
 """Most ties of an image that a page is sent, evenly chosen."""
 MOST_SHOTS = 20_000
 """Most shots of a profile, likewise."""
-_NEAREST = 5
-"""Points whose mean height is the surface under a shot."""
 
 
 def ties_of(block: Block, image: int) -> dict[str, Any]:
@@ -129,7 +128,7 @@ def _surface_words(block: Block) -> str | None:
     if block.terrain is not None:
         return "terrain model" + (" as adjusted" if block.adjusted and block.network.terrain_moves else "")
     kind = "adjusted" if block.adjusted else "a-priori"
-    return f"mean of the {_NEAREST} nearest {kind} points" if _without_lasers(block).size >= _NEAREST else None
+    return f"mean of the {NEIGHBOURS} nearest {kind} points" if _without_lasers(block).size >= NEIGHBOURS else None
 
 
 def _surface_heights(block: Block, places: Array) -> Array:
@@ -141,17 +140,15 @@ def _surface_heights(block: Block, places: Array) -> Array:
         feet = places - motion
         return _heights(block, feet * (block.terrain.at(feet) / np.linalg.norm(feet, axis=1))[:, None] + motion)
     points = block.places[_without_lasers(block)]
-    if len(points) < _NEAREST:
+    if len(points) < NEIGHBOURS:
         return np.full(len(places), np.nan)
-    distances, nearest = KDTree(points).query(places, _NEAREST)
-    weights = 1.0 / np.maximum(distances, 1.0) ** 2
-    return np.asarray((weights * _heights(block, points)[nearest]).sum(axis=1) / weights.sum(axis=1))
+    distances, nearest = KDTree(points).query(places, NEIGHBOURS)
+    return np.asarray((weights_by_distance(distances) * _heights(block, points)[nearest]).sum(axis=1))
 
 
 def _without_lasers(block: Block) -> Index:
     """(m,) points with a place that are no laser shots."""
-    return np.flatnonzero(np.all(np.isfinite(block.places), axis=1) & np.any(block.places, axis=1)
-                          & (block.network.points.classes != PointClass.LASER))  # fmt: skip
+    return np.asarray(block.located[block.network.points.classes[block.located] != PointClass.LASER])
 
 
 def _heights(block: Block, points: Array) -> Array:

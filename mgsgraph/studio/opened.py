@@ -122,11 +122,15 @@ class Block:
         return self.joint_of()
 
     @cached_property
+    def located(self) -> Index:
+        """(m,) points with a place."""
+        return np.flatnonzero(np.all(np.isfinite(self.places), axis=1) & np.any(self.places, axis=1))
+
+    @cached_property
     def median_height(self) -> float:
         """Height (m) above the ellipsoid, of some of the points; 0 where none has a place."""
-        located = self.places[np.all(np.isfinite(self.places), axis=1) & np.any(self.places, axis=1)]
-        located = located[thinned(len(located), 10_000)]
-        return float(np.median(geodetic(located, self.images[0].body)[:, 2])) if len(located) else 0.0
+        some = self.places[self.located[thinned(self.located.size, 10_000)]]
+        return float(np.median(geodetic(some, self.images[0].body)[:, 2])) if len(some) else 0.0
 
     @cached_property
     def rays_by_image(self) -> list[Index]:
@@ -296,6 +300,12 @@ class Opened:
             remedy = "adjust it: mgsgraph project solve PROJECT, or mgsgraph adjust CASE --out RESULT"
             raise InputError(str(self.path), "nothing has been adjusted: there is no posterior", remedy=remedy)
         return self.once("posterior", make)
+
+    def posterior_of(self, points: Index) -> Posterior:
+        """The posterior of some points (m,), by their numbers; of the whole block where these can't be read alone."""
+        solution = self.now.solution
+        alone = None if solution is None else posterior_of_points(solution, np.unique(points))
+        return alone or self.posterior()
 
     def about(self, point: str) -> About:
         """A point and others that depend on the same unknowns, where these can be read alone; the whole block

@@ -14,7 +14,7 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
-from mgsgraph.analysis.posterior import Pixel, Posterior, posterior_of_points
+from mgsgraph.analysis.posterior import Pixel, Posterior
 from mgsgraph.errors import InputError, MgsgraphError
 from mgsgraph.files.opening import json_object
 from mgsgraph.files.output.table import plain
@@ -358,8 +358,7 @@ def _posterior_for(opened: Opened, questions: Questions) -> Posterior:
     solution, numbers = opened.now.solution, opened.block().network.points.ids.find(names)
     if solution is None or np.any(numbers < 0):
         return opened.posterior()
-    points = np.unique(numbers) if names else np.flatnonzero(solution.determined)[:1]
-    return posterior_of_points(solution, points) or opened.posterior()
+    return opened.posterior_of(numbers if names else np.flatnonzero(solution.determined)[:1])
 
 
 def _changing(opened: Opened, lock: EditLock, work: Work) -> _Posting:

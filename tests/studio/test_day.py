@@ -55,6 +55,7 @@ def made(name: str, shared: Path, folder: Path) -> Path:
 class Day(Page):
     """A page whose clicks are timed."""
 
+    longest, between = 120.0, 0.02
     seconds: dict[str, float]
 
     def timed(self, name: str, until: str, argument: Any = None) -> None:
@@ -64,13 +65,6 @@ class Day(Page):
 
     def begin(self) -> None:
         self.begun = time.perf_counter()
-
-    def until(self, script: str, argument: Any = None) -> None:
-        for _ in range(3000):
-            if self.run(script, argument):
-                return
-            self.tab.wait_for_timeout(20)
-        raise AssertionError(script)
 
     def key(self, key: str) -> None:
         self.run("document.activeElement.blur()")

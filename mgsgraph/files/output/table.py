@@ -23,7 +23,7 @@ from pyarrow.csv import WriteOptions
 
 from mgsgraph.files.writing import record_text
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.names import Names, RepeatedNames
+from mgsgraph.names import Names, RepeatedNames, arrow_of
 from mgsgraph.text import cell, many, short
 from mgsgraph.units import ARCSEC, DEG, KM
 
@@ -422,10 +422,7 @@ def _arrow(values: Sequence[Any] | np.ndarray) -> pa.Array:
         return values
     if not isinstance(values, np.ndarray) or values.dtype.kind not in "fiub":
         return Names.of(list(values)).arrow
-    # by its buffers, as in `names`: `pyarrow.array` would load pandas
-    known = pa.py_buffer(np.packbits(np.isfinite(values), bitorder="little")) if values.dtype.kind == "f" else None
-    numbers = np.packbits(values, bitorder="little") if values.dtype.kind == "b" else np.ascontiguousarray(values)
-    return pa.Array.from_buffers(pa.from_numpy_dtype(values.dtype), values.size, [known, pa.py_buffer(numbers)])
+    return arrow_of(values)
 
 
 def _is_number(text: str) -> bool:

@@ -3,7 +3,7 @@
 
 import {withModifier} from './app.js';
 import {Chips} from './chips.js';
-import {button, caption, check, download, make, short} from './plot.js';
+import {button, caption, check, download, make, save, short} from './plot.js';
 
 const TABLES = {points: 'Points', measurements: 'Measurements', images: 'Images', passes: 'Passes', profiles: 'Profiles'};
 const FIRST = {points: '-residual_sigmas', measurements: '-residual_sigmas', images: '-rms', profiles: '-shift_sigmas'}; // orders to begin with
@@ -296,9 +296,7 @@ class Lists {
   saveMarked() {
     const quoted = value => (/[",\r\n]/.test(value ?? '') ? `"${value.replaceAll('"', '""')}"` : value ?? '');
     const names = this.state.found.columns.map(({key, unit}) => (unit ? `${key}_${unit}` : key)), rows = [names, ...this.state.marked.values()];
-    const href = URL.createObjectURL(new Blob(rows.map(row => `${row.map(quoted).join(',')}\n`), {type: 'text/csv'}));
-    make('a', {href, download: `${this.name}_marked.csv`}).click();
-    setTimeout(() => URL.revokeObjectURL(href), 60000);
+    save(new Blob(rows.map(row => `${row.map(quoted).join(',')}\n`), {type: 'text/csv'}), `${this.name}_marked.csv`);
   }
 
   // --- pixels around the measurements of the active row's point

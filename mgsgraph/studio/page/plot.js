@@ -48,17 +48,14 @@ export function table(title, columns, rows, words = '') {
     : caption(words));
 }
 
-// An address in this page of what the server answers: pictures and links can't send the secret
-export async function blobOf(address) {
-  return URL.createObjectURL(await (await ask(address)).blob());
-}
-
-// Saves what an address gives as a file
-export async function download(address, name) {
-  const href = await blobOf(address);
+// Saves a blob, or what an address gives, as a file; a link to the address could not send the secret
+export function save(blob, name) {
+  const href = URL.createObjectURL(blob);
   make('a', {href, download: name}).click();
   setTimeout(() => URL.revokeObjectURL(href), 60000);
 }
+
+export const download = async (address, name) => save(await (await ask(address)).blob(), name);
 
 // The largest of 1, 2 and 5 times a power of ten that a value holds
 export function roundBelow(value) {
