@@ -102,6 +102,31 @@ def test_the_map_by_keys(page: Callable[..., Page]) -> None:
     assert not seen.tab.locator("#keys").is_visible()
 
 
+def test_outlines_come_while_the_map_is_hidden(page: Callable[..., Page]) -> None:
+    seen = page()
+    view = "document.getElementById('map').view"
+    seen.show("lists")
+    seen.run(f"""async () => {{
+      const view = {view};
+      Object.assign(view, {{outlines: undefined, layers: {{}}, touchedOnce: false}});
+      await view.readOutlines();
+    }}""")
+    assert seen.run(f"{view}.view.scale") > 0.0
+    seen.show("map")
+    west, south, east, north = seen.run(f"{view}.box()")
+    for x, y in seen.run(f"{view}.outlines.flat()"):
+        assert west < x < east
+        assert south < y < north
+
+
+def test_heights_that_differ_by_rounding_have_an_axis(page: Callable[..., Page]) -> None:
+    count = page().run("""async () => {
+      const {range, ticks} = await import('/page/plot.js');
+      const [low, high] = range([3389500.0000000005, 3389500]);
+      return high - low > 1e-4 ? ticks(low, high, 8).length : 0; }""")
+    assert 2 <= count <= 20
+
+
 def test_every_layer_of_the_map_is_drawn(page: Callable[..., Page]) -> None:
     """Each one changes the picture, and no one complains."""
     seen = page()

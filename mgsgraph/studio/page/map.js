@@ -157,11 +157,12 @@ class MapPanel {
   }
 
   fit() {
-    if (this.canvas.clientWidth) this.touchedOnce ? this.ask() : this.whole();
+    this.touchedOnce ? this.ask() : this.whole();
   }
 
   whole() {
     const [w, h] = this.middle().map(one => 1.84 * one);
+    if (!w || !h) return; // hidden
     let [x0, y0, x1, y1] = this.app.scene.map.bounds_m;
     for (const [x, y] of (this.outlines || []).flat()) [x0, y0, x1, y1] = [Math.min(x0, x), Math.min(y0, y), Math.max(x1, x), Math.max(y1, y)];
     const scale = Math.min(w / Math.max(x1 - x0, 1), h / Math.max(y1 - y0, 1));

@@ -148,7 +148,7 @@ export function range(values, margin = 0.06) {
       if (value > high) high = value;
     }
   if (low > high) return null;
-  const more = margin * (high - low) || 1;
+  const more = Math.max(margin * (high - low), 1e-9 * Math.abs(high)) || 1; // steps that add nothing would never end
   return [low - more, high + more];
 }
 
