@@ -96,16 +96,61 @@ def make_equations_compilable() -> None:
     """
     from numba.extending import register_jitable
 
-    compilable = register_jitable(forceinline=True, fastmath={"contract", "nsz"}, error_model="numpy")
+    compilable = register_jitable(
+        forceinline=True, fastmath={"contract", "nsz"}, error_model="numpy", **options_of_parts(), _nrt=False
+    )
     while _equations:
         compilable(_equations.pop())
 
 
 def compiled(function: Function) -> Function:
-    """Compile a part of a kernel, which releases the interpreter's lock; division by zero gives inf, as in NumPy."""
+    """Compile a part of a kernel, which compiled code alone calls; division by zero gives inf, as in NumPy."""
     from numba import njit
 
-    return cast(Function, njit(nogil=True, error_model="numpy")(function))
+    return cast(Function, njit(error_model="numpy", **options_of_parts())(function))
+
+
+def options_of_parts() -> dict[str, Any]:
+    """Options of numba for what compiled code alone calls, without entries for Python and C."""
+    return {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": compiler_of_parts()}
+
+
+@cache
+def compiler_of_parts() -> type:
+    """Numba's compiler for functions that compiled code alone calls: they are optimized and made into machine code
+    where they are taken in, not by themselves before, which halves the time. Python gets a TypeError from them.
+    """
+    from ctypes import c_void_p, cast, pythonapi
+
+    from numba.core.codegen import JITCodeLibrary
+    from numba.core.compiler import Compiler
+
+    refusal = cast(pythonapi.PyErr_BadArgument, c_void_p).value
+
+    class Part(JITCodeLibrary):
+        def _optimize_final_module(self) -> None:
+            pass
+
+        def _finalize_final_module(self) -> None:
+            self._finalize_dynamic_globals()
+            self._finalized = True
+
+        def get_pointer_to_function(self, name: str) -> int | None:
+            self._ensure_finalized()
+            return refusal
+
+        @property
+        def codegen(self) -> Any:
+            return self
+
+        def set_env(self, name: str, environment: Any) -> None:
+            pass
+
+    class CompilerOfParts(Compiler):
+        def __init__(self, typing: Any, target: Any, library: Any, *more: Any) -> None:
+            super().__init__(typing, target, library or Part(target.codegen(), "part"), *more)
+
+    return CompilerOfParts
 
 
 def cached_kernel(function: Function, **options: Any) -> Function:

@@ -17,6 +17,8 @@ from numba.core.typing.templates import AbstractTemplate, infer_global, signatur
 from numba.extending import intrinsic, lower_builtin, models, register_model
 from numba.np.arrayobj import make_array
 
+from mgsgraph.compiled import options_of_parts
+
 LANES = 64
 """Points per tile: a tile of two-ray points fits the second-level cache several times over."""
 
@@ -271,8 +273,8 @@ if _config.DISABLE_JIT:  # plain Python, to look at or to count: arrays are what
             sink[index + k * step : index + k * step + FOUR] = [array[row + k] for row in (a, b, c, d)]
 
 
-_INSIDE: dict[str, Any] = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-"""What is called from compiled code alone needs no entry for Python or C, whose compilation takes a fifth of it all."""
+_INSIDE: dict[str, Any] = {"error_model": "numpy", "_nrt": False, **options_of_parts()}
+"""Nothing here makes an array: those that come and go need not be counted (NumPy's runtime in Numba, nrt)."""
 
 lane = njit(fastmath={"contract", "nsz"}, **_INSIDE)
 """Compile a function over lanes: division by zero gives inf, as in NumPy; products and sums may be fused.

@@ -172,7 +172,7 @@ def scratch_for(rows: Rows) -> Scratch:
     return Scratch(np.zeros(size), depth, np.zeros((LANES, 5), dtype=np.int64), *sums, np.zeros(most * COUPLED))
 
 
-@partial(cached_kernel, fastmath={"contract", "nsz"})
+@partial(cached_kernel, fastmath={"contract", "nsz"}, _nrt=False)
 def sweep(
     rows,
     groups,

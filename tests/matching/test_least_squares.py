@@ -9,16 +9,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numba import njit
 from numpy.typing import NDArray
 
 import mgsgraph.matching
 from mgsgraph.errors import InputError
-from mgsgraph.matching import least_squares
-from mgsgraph.matching.equations import SplinePicture, spline_at
+from mgsgraph.matching import equations, least_squares, window
+from mgsgraph.matching.equations import SplinePicture
 from mgsgraph.matching.least_squares import EMPHASIS, LeastSquaresMatches, MatchStatus, match_least_squares
-from mgsgraph.matching.window import out_of_shape
 
 Array = NDArray[np.float64]
+spline_at = njit(lambda c, line, sample: equations.spline_at(c, line, sample))
+out_of_shape = njit(lambda x, e, half, scale: window.out_of_shape(x, e, half, scale))
 
 SIZE, MIDDLE = 400, 200.0
 AFFINE = np.array([[1.08, 0.04], [-0.05, 0.93]])
@@ -29,6 +31,11 @@ ALONG = np.array([0.6, 0.8])
 """A direction in which height displaces."""
 HONEST = 1.2**2
 """Squared factor by which sigmas and true errors may differ; the rest is the scatter of so many windows."""
+
+
+def test_python_is_refused_by_what_compiled_code_alone_calls() -> None:
+    with pytest.raises(TypeError):
+        equations.spline_at(np.zeros((9, 9), dtype=np.float32), 3.0, 3.0)
 
 
 def texture(seed: int, line: Array, sample: Array, contrast: float = 15.0, shortest: float = 3.0) -> Array:
