@@ -7,7 +7,10 @@ import hashlib
 import os
 import shutil
 import stat
+import subprocess
+import sys
 import tempfile
+import time
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -16,9 +19,13 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
+from mgsgraph.atomic_write import lock
+
 Function = TypeVar("Function", bound=Callable[..., Any])
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+_MOMENT = 0.05
+"""s between two looks at another process's lock."""
 
 
 def find_a_place_for_compiled_kernels(package: Path) -> None:
@@ -157,7 +164,7 @@ def cached_kernel(function: Function, **options: Any) -> Function:
     """Compile a function that Python calls, as `compiled` does, and cache it on disk; `options` of `numba.njit`.
 
     Numba looks for changes in the function's file alone; this cache looks at all files of its folder and of `factors`
-    (`sources_of`).
+    (`sources_of`). Of processes that need a kernel at once one compiles it, and the others wait for what it stores.
     """
     from numba import njit
     from numba.core.caching import FunctionCache
@@ -168,12 +175,67 @@ def cached_kernel(function: Function, **options: Any) -> Function:
         def __init__(self, function: Callable[..., Any]) -> None:
             super().__init__(function)
             self._cache_file._version += digest  # compared before anything is unpickled: classes may be gone or renamed
+            self._turn = -1  # descriptor of the lock, as long as this process compiles
+
+        def load_overload(self, signature: Any, target: Any) -> Any:
+            found = super().load_overload(signature, target)
+            if found is None and self._turn < 0:
+                self._turn = _take_turn(Path(self.cache_path) / f"{function.__name__}.lock")
+                found = super().load_overload(signature, target)
+            if found is not None:
+                self.end_turn()
+            return found
+
+        def save_overload(self, signature: Any, data: Any) -> None:
+            try:
+                super().save_overload(signature, data)
+            finally:
+                self.end_turn()
+
+        def end_turn(self) -> None:
+            if self._turn >= 0:
+                os.close(self._turn)
+            self._turn = -1
 
     digest = sources_of(function)
     kernel = njit(nogil=True, error_model="numpy", **options)(function)
     if hasattr(kernel, "enable_caching"):  # else it is plain Python (NUMBA_DISABLE_JIT)
         kernel._cache = Cache(function)
     return cast(Function, kernel)
+
+
+def _take_turn(path: Path) -> int:
+    """Wait for a lock, which goes when the file's descriptor, that is returned, is closed, or with the process."""
+    try:
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0), 0o666)
+    except OSError:  # then each process compiles by itself
+        return -1
+    _under_way.append(path)
+    try:
+        while not lock(descriptor):
+            time.sleep(_MOMENT)
+    except BaseException:
+        os.close(descriptor)
+        raise
+    finally:
+        _under_way.pop()
+    return descriptor
+
+
+def compile_beside(kernel: Any, statement: str) -> None:
+    """Where a kernel is not cached, let another process compile it by a statement, while this one reads files; that
+    process goes with this one.
+    """
+    if threads() < 2 or not hasattr(kernel, "signatures") or kernel._cache._cache_file._load_index():
+        return
+    quiet = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    process = subprocess.Popen([sys.executable, "-c", statement], **quiet)  # type: ignore[call-overload]
+
+    def end() -> None:
+        process.kill()
+        process.wait()
+
+    atexit.register(end)
 
 
 def sources_of(function: Callable[..., Any], *packages: str) -> str:

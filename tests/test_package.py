@@ -164,7 +164,7 @@ DOOR = {
     # our own files, not a user's
     "mgsgraph.adjustment.graph.rows": {"read_text"},  # the system's: how much memory a container may take
     "mgsgraph.adjustment.cluster.workers": {"open", "read_bytes"}, "mgsgraph.adjustment.cluster.own": {"open"},
-    "mgsgraph.compiled": {"read_bytes"}, "mgsgraph.results.section": {"read_text", "tomllib.loads"},
+    "mgsgraph.compiled": {"open", "read_bytes"}, "mgsgraph.results.section": {"read_text", "tomllib.loads"},
     "mgsgraph.files.writing": {"open"}, "mgsgraph.fetch.download": {"open"},
     "mgsgraph.project.campaign": {"open"},
     "mgsgraph.atomic_write": {"open"}, "mgsgraph.workers": {"open"},

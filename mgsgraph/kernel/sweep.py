@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mgsgraph import compiled
 from mgsgraph.compiled import cached_kernel, threads
 from mgsgraph.kernel.covariance import NUMBERS, covariance_tile, reliability_tile
 from mgsgraph.kernel.elimination import eliminate_tile, move_basis, solve_tile
@@ -43,7 +44,7 @@ from mgsgraph.kernel.lanes import (
     transposed_of,
 )
 from mgsgraph.kernel.measurements import row_count
-from mgsgraph.kernel.rows import BEHIND, GROUND, IMAGE, NO_LOSS, PREDICTED, Groups, Model, NormalBlocks, Rows
+from mgsgraph.kernel.rows import BEHIND, GROUND, IMAGE, NO_LOSS, PREDICTED, Groups, Model, NormalBlocks, Rows, Small
 from mgsgraph.kernel.tile import (
     BEGIN,
     END,
@@ -221,6 +222,30 @@ def sweep(
             reliability_tile(rows, groups, target, model, segments, count, blocks, w, depth, y, values)
         elif task == DESIGN:
             design_tile(rows, model, segments, count, w, depth, values)
+
+
+def compile_beside() -> None:
+    """Let another process compile the sweep, if it is not cached, which takes most of a minute."""
+    compiled.compile_beside(sweep, f"from {__name__} import compile_sweep; compile_sweep()")
+
+
+def compile_sweep() -> None:
+    """Compile the sweep, or load it: for arguments of the types that it always has."""
+    from numba import typeof
+
+    kinds, tables = {Small: np.int8, Index: np.int64, Array: np.float64}, ("start", "weight", "piece", "terrain")
+
+    def none_of(fields: Any) -> Any:
+        shapes = {name: (0, 0) if name in tables else (0,) for name in fields._fields}
+        of_kind = fields.__annotations__.items()
+        return fields(*(0 if kind is int else np.zeros(shapes[name], kinds[kind]) for name, kind in of_kind))
+
+    rows = as_compiled(none_of(Rows))
+    scratch = Scratch(np.zeros(0), 0, np.zeros((0, 5), dtype=np.int64), *(np.zeros(0) for _ in range(4)))
+    owns = rows, none_of(Groups), none_of(NormalBlocks), Model(0, 0, 0, 0.0), np.zeros(0)
+    results = np.zeros((0, 3)), np.zeros(0, dtype=np.int8), *(np.zeros(0) for _ in range(3)), np.zeros((0, 0, 0))
+    kernel: Any = sweep
+    kernel.compile(tuple(typeof(one) for one in (*owns, COSTS, np.int64(0), np.int64(0), scratch, *results)))
 
 
 def even_parts(rows: Rows, parts: int) -> Index:

@@ -14,7 +14,7 @@ from mgsgraph.adjustment.batch import Outcome, levenberg_marquardt, settled_mini
 from mgsgraph.adjustment.graph import BundleGraph, lay_out
 from mgsgraph.adjustment.optimize import Iteration
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.kernel.sweep import GRADIENT, sweep
+from mgsgraph.kernel.sweep import GRADIENT, compile_sweep, sweep
 
 
 @dataclass
@@ -174,9 +174,10 @@ def test_a_saddle_is_not_taken_for_the_minimum() -> None:
 
 
 def test_the_kernel_is_compiled_for_one_signature() -> None:
-    """Terrain or none, held images, blunder passes, a whole width, arrays that are read-only or in another order:
-    another signature, another minute.
+    """Beforehand, and with terrain or none, held images, blunder passes, a whole width, arrays that are read-only or
+    in another order: another signature, another minute.
     """
+    compile_sweep()
     before = len(sweep.signatures)
     assert before <= 1
     for net in (network(pair()), with_shift_and_surface(network(pair())), network(pair(), (True, False))):

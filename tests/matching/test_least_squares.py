@@ -33,11 +33,6 @@ HONEST = 1.2**2
 """Squared factor by which sigmas and true errors may differ; the rest is the scatter of so many windows."""
 
 
-def test_python_is_refused_by_what_compiled_code_alone_calls() -> None:
-    with pytest.raises(TypeError):
-        equations.spline_at(np.zeros((9, 9), dtype=np.float32), 3.0, 3.0)
-
-
 def texture(seed: int, line: Array, sample: Array, contrast: float = 15.0, shortest: float = 3.0) -> Array:
     """Grey values at any place: plane waves longer than so many pixels, of random directions, longer ones stronger."""
     rng = np.random.default_rng(seed)
