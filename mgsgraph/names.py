@@ -119,12 +119,11 @@ class Names(_Column):
     def joined(*columns: "NDArray[np.int64] | pa.Array", mark: str = ":") -> "Names":
         """Names made of numbers or texts side by side, (n,) each, with a mark between them."""
         parts = ((one if isinstance(one, pa.Array) else arrow_of(one)).cast(pa.large_string()) for one in columns)
-        return Names.of(pc.binary_join_element_wise(*parts, pa.scalar(mark, pa.large_string())))
+        return Names.of(pc.binary_join_element_wise(*parts, _scalar(mark)))
 
     def prefixed(self, text: str) -> "Names":
         """Each with a text before it."""
-        before, between = (pa.scalar(one, pa.large_string()) for one in (text, ""))
-        return Names.of(pc.binary_join_element_wise(before, self.arrow, between))
+        return Names.of(pc.binary_join_element_wise(_scalar(text), self.arrow, _scalar("")))
 
     @property
     def arrow(self) -> pa.Array:
@@ -185,14 +184,13 @@ class Names(_Column):
     def find(self, others: "Names | Sequence[str]") -> NDArray[np.int64]:
         """(m,) number of each of other names among these, -1 for one that is not here."""
         if len(others) == 1:  # compared with each of these, which takes less than a table of them
-            return np.array([pc.index(self.arrow, pa.scalar(others[0], pa.large_string())).as_py()])
+            return np.array([pc.index(self.arrow, _scalar(others[0])).as_py()])
         return _numbers_among(Names.of(others).arrow, self.arrow)
 
     def containing(self, text: str, whole: bool = False) -> NDArray[np.bool_]:
         """(n,) whether each contains a text, in small or capital letters; or is it, where `whole`."""
-        wanted = pa.scalar(text, pa.large_string())
-        letters = text.lower() != text.upper()  # without them it is much faster
-        found = pc.equal(self.arrow, wanted) if whole else pc.match_substring(self.arrow, text, ignore_case=letters)
+        case = text.lower() != text.upper()  # without them it is much faster
+        found = pc.equal(self.arrow, _scalar(text)) if whole else pc.match_substring(self.arrow, text, ignore_case=case)
         contains = np.zeros(len(self), dtype=np.bool_)
         contains[np.from_dlpack(pc.indices_nonzero(found))] = True
         return contains
@@ -349,6 +347,11 @@ def _encoded(names: Sequence[str], source: str) -> Names:
         raise InputError(source, found, "characters that can be printed", "rename it") from None
     ends = np.cumsum([0, *map(len, texts)], dtype=np.int64)
     return Names(np.frombuffer(b"".join(texts), np.uint8), ends)
+
+
+def _scalar(text: str) -> pa.Scalar:
+    """A text as Arrow's functions take it."""
+    return Names.of([text]).arrow[0]
 
 
 def arrow_of(values: NDArray[Any]) -> pa.Array:

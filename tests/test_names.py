@@ -1,6 +1,8 @@
 """Names in columns: they are the sequences of str that they were made of."""
 
 import pickle
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -65,3 +67,11 @@ def test_what_are_no_names() -> None:
         Names.of([None])  # type: ignore[list-item]
     with pytest.raises(IndexError):
         Names.of(["a"])[1]
+
+
+def test_no_question_about_names_loads_pandas() -> None:
+    """Where it is installed, a sixth of a second."""
+    lines = ["import sys", "import numpy as np", "from mgsgraph.names import Names", "names = Names.of(['a', 'b'])",
+             "names.find(['b']), names.containing('b'), names.prefixed('x'), Names.joined(np.arange(2), names.arrow)",
+             "assert 'pandas' not in sys.modules"]  # fmt: skip
+    subprocess.run([sys.executable, "-c", "\n".join(lines)], check=True)

@@ -15,7 +15,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 CEILINGS = {
     "cli": (1408, 14611, 11),
-    "studio": (2452, 39171, 19),
+    "studio": (2497, 39628, 19),
     "fetch": (1363, 16570, 9),
     "project": (2711, 36654, 17),
     "export": (2765, 39906, 18),
@@ -34,7 +34,7 @@ CEILINGS = {
     "factors": (867, 13743, 18),
     "single files": (871, 10167, 10),
     "scripts": (7002, 112220, 51),
-    "tests": (39011, 588099, 216),
+    "tests": (39079, 588764, 216),
     "docs": (157, 1791, 4),
 }  # fmt: skip
 """Room: lines of code, nodes, files."""

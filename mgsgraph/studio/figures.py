@@ -1,6 +1,7 @@
 """A figure for papers: the map's window as the page shows it, as SVG, PNG or PDF with a caption."""
 
 from collections.abc import Callable, Collection
+from importlib import import_module
 from threading import Lock
 from typing import TYPE_CHECKING, Any
 
@@ -25,20 +26,28 @@ LAYERS = ("footprints", "points", "ellipses", "moved", "images", "relief", "grat
 _SIGNED = "moved_up"
 
 
+def load_figures() -> None:
+    """Import what draws a figure; under the lock, for threads would take each other's half-made modules."""
+    with _MATPLOTLIB:
+        import_module("mgsgraph.results.figures.map")
+
+
 def drawn(view: str, kind: str, make: "Callable[[], Sheet]") -> Response:
     """A view, drawn by `make`, as an attachment with its caption; InputError of what can't be written."""
-    from mgsgraph.results.figures.sheet import encoded
-
     if kind not in _TYPES:
         raise InputError("figure", f"{view}.{kind}"[:60], f"one of {', '.join(_TYPES)}")
+    load_figures()
+    from mgsgraph.results.figures.sheet import encoded
+
     with _MATPLOTLIB:
         sheet = make()
         metadata: dict[str, str | None] = {"Title": sheet.title, "Description": sheet.caption}
+        options: dict[str, Any] = {"pil_kwargs": {"compress_level": 1}} if kind == "png" else {}
         if kind == "pdf":
             metadata = {"Title": sheet.title, "Subject": sheet.caption, "Creator": "mgsgraph", "CreationDate": None}
         elif kind == "svg":
             metadata |= {"Date": None, "Creator": "mgsgraph"}
-        data = encoded(sheet, kind, metadata=metadata)
+        data = encoded(sheet, kind, metadata=metadata, **options)
     return Response(data, media_type=_TYPES[kind], headers={
         "Content-Disposition": f'attachment; filename="{view}.{kind}"', "Cache-Control": "no-store",
     })  # fmt: skip

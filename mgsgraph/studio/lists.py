@@ -175,6 +175,13 @@ def compute(opened: Opened, group: str) -> dict[str, Any]:
     return {"revision": opened.revision}
 
 
+def compute_at_once(opened: Opened) -> None:
+    """Compute the columns for which the page asks by itself."""
+    for one in window(opened, {})["missing"]:
+        if one["at_once"]:
+            compute(opened, one["group"])
+
+
 # --- tables; values of the block's own rows may be fewer than the rows
 
 

@@ -31,7 +31,7 @@ from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network import Network
 from mgsgraph.network.connectivity import network_footprints
-from mgsgraph.project.changes import is_solved
+from mgsgraph.project.changes import incremental, is_solved
 from mgsgraph.project.project import AdjustmentCache, Project, open_project
 from mgsgraph.project.reading import case_with_results, posterior_near, read_posterior, results_of
 from mgsgraph.results.archive import ARCHIVE, read_solution
@@ -177,6 +177,8 @@ def _terrain(network: Network) -> TerrainGrid | None:
 
 Kind = Literal["project", "result", "case"]
 _Result = TypeVar("_Result")
+_MOST_PREPARED = 100_000
+"""Most image measurements of a project whose adjustment is read before a change wants it."""
 _MOST_NEAR = 2000
 """Most points around one of a solution whose posterior is computed jointly."""
 _CHANGED = "only a project can be changed; make one of the case: mgsgraph project init PROJECT --case CASE"
@@ -238,7 +240,7 @@ class Opened:
         self.kind: Kind = _kind(path)
         self.revision = 0
         self._lock, self._near_lock, self._changing = threading.RLock(), threading.Lock(), threading.Lock()
-        self._cache = AdjustmentCache()
+        self._cache, self._prepared = AdjustmentCache(), -1
         self._state: tuple[int, State] | None = None
         self._made: dict[str, object] = {}
         self._making: dict[str, threading.RLock] = {}
@@ -382,11 +384,33 @@ class Opened:
         if self.kind != "project":
             raise InputError(str(self.path), f"a {self.kind}", "a project", _CHANGED)
         with self._changing:
+            self._prepared = -1  # a refused change leaves nothing in memory
             with open_project(self.path, write=True, cache=self._cache) as project:
                 result = act(project)
                 warning = _warning(project)
             self.revision, self.warning, self._seen = self.revision + 1, warning, _mark(self.path)
+            self._prepared = self.revision
         return result
+
+    def prepare_change(self) -> None:
+        """Read what the next change begins with, so that the first is as quick as those after it; where that is not
+        in memory, and the block is no large one. The project's folder stays as it is, and no change or look waits.
+        """
+        if self.kind != "project" or self._prepared == self.revision:
+            return
+        is_small = self.block().network.rays.point.size <= _MOST_PREPARED
+        if not self._changing.acquire(blocking=False):
+            return
+        try:
+            self._prepared, adjustment = self.revision, None
+            with open_project(self.path, cache=self._cache) as project:
+                if is_small and is_solved(project):
+                    adjustment = incremental(project)
+                    self._cache.noted(*project.changes(1))
+            if adjustment is not None and (unknowns := list(adjustment.values)):
+                adjustment.joint(unknowns[:1])  # which makes the tree
+        finally:
+            self._changing.release()
 
     def notice(self) -> None:
         """Read the project again, if another process has changed it."""

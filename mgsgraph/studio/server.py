@@ -7,10 +7,12 @@ refused. Nothing is asked of the network.
 import asyncio
 import secrets
 import socket
+import sys
 import threading
 import time
 from collections.abc import Awaitable, Callable
 from contextlib import closing, suppress
+from mimetypes import guess_type
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -21,17 +23,20 @@ from starlette.applications import Starlette
 from starlette.middleware import Middleware
 from starlette.middleware.gzip import GZipMiddleware
 from starlette.requests import Request
-from starlette.responses import FileResponse, HTMLResponse, JSONResponse, PlainTextResponse, Response
+from starlette.responses import HTMLResponse, JSONResponse, PlainTextResponse, Response
 from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from mgsgraph.errors import InputError, MgsgraphError
+from mgsgraph.files.opening import read_bytes
 from mgsgraph.studio.changes import EditLock
-from mgsgraph.studio.lists import table
+from mgsgraph.studio.figures import load_figures
+from mgsgraph.studio.lists import compute_at_once, table
 from mgsgraph.studio.map_points import map_points, scene_record
 from mgsgraph.studio.opened import Opened
 from mgsgraph.studio.routes import BROWSER, Views, routes
+from mgsgraph.studio.start import verdict_record, worst_record
 from mgsgraph.studio.work import Work
 
 PAGE = Path(__file__).parent / "page"
@@ -40,6 +45,10 @@ _COOKIE = "mgsgraph_studio_{}"
 """Name of the cookie; cookies know no ports, and two studios may run."""
 _ENTRANCE = '<!doctype html><title>mgsgraph studio</title><script src="/page/enter.js" data-secret="{}"></script>'
 FORWARD = '<!doctype html><title>mgsgraph studio</title><meta http-equiv="refresh" content="0;url={}">'
+_LOOK, _PATIENCE = 0.5, 2.0
+"""s between two looks for something to prepare, and for which its end is waited for."""
+_TURN = 5e-4
+"""s after which a thread that computes lets others answer: they would wait for it ten times as long, several times."""
 IDLE = 12 * 3600.0
 """s without a request, after which the command ends."""
 _SECONDS: dict[object, float] = {h11.IDLE: 10.0, h11.SEND_BODY: 30.0}
@@ -107,14 +116,14 @@ def _same(text: str, secret: str) -> bool:
 
 def application(opened: Opened, access: Access, work: Work) -> Starlette:
     """The server's application, which shows what is opened to those who have access."""
-    files = {file.name: file for file in PAGE.iterdir()}
+    files = {file.name: read_bytes(file) for file in PAGE.iterdir()}
 
-    def index(_: Request) -> Response:
-        return FileResponse(files["index.html"], headers={"Cache-Control": "no-store"})
+    async def index(_: Request) -> Response:  # answered at once, without a thread
+        return HTMLResponse(files["index.html"], headers={"Cache-Control": "no-store"})
 
-    def of_page(request: Request) -> Response:
-        file = files.get(request.path_params["name"])
-        return Response(status_code=404) if file is None else FileResponse(file)
+    async def of_page(request: Request) -> Response:
+        data = files.get(name := request.path_params["name"])
+        return Response(data, 404 if data is None else 200, media_type=guess_type(name)[0])
 
     def error(request: Request, exception: Exception) -> Response:
         # the page shows it; for any other status a browser would write a line of its own to its console
@@ -125,7 +134,7 @@ def application(opened: Opened, access: Access, work: Work) -> Starlette:
 
     return Starlette(
         routes=[Route("/", index), *routes(opened, Views(opened), EditLock(), work), Route("/page/{name}", of_page)],
-        middleware=[Middleware(_Guard, access=access), Middleware(GZipMiddleware, minimum_size=2000)],
+        middleware=[Middleware(_Guard, access=access), Middleware(GZipMiddleware, minimum_size=2000, compresslevel=1)],
         exception_handlers={MgsgraphError: error, MemoryError: memory},
     )
 
@@ -213,6 +222,7 @@ def serve(
     folder : Path, optional
         Files that may be added to a project are in it.
     """
+    sys.setswitchinterval(_TURN)
     work = Work(opened, folder)
     with closing(listening(port)) as place, TemporaryDirectory(prefix="mgsgraph-studio-") as own:
         page = Path(own) / "studio.html"
@@ -232,9 +242,15 @@ def serve(
             page.write_text(FORWARD.format(access.address), encoding="utf-8")
             show(page.as_uri())
         # while a browser starts, its first answers are prepared
-        threading.Thread(target=_prepare, args=(opened,), daemon=True).start()
+        ended = threading.Event()
+        preparing = threading.Thread(target=prepare, args=(opened, ended), daemon=True)
+        preparing.start()
         threading.Thread(target=end_when_idle, args=(server, access), daemon=True).start()
-        server.run(sockets=[place])  # a job ends with this process (`work`)
+        try:
+            server.run(sockets=[place])  # a job ends with this process (`work`)
+        finally:
+            ended.set()
+            preparing.join(_PATIENCE)
 
 
 def end_when_idle(server: uvicorn.Server, access: Access) -> None:
@@ -244,9 +260,20 @@ def end_when_idle(server: uvicorn.Server, access: Access) -> None:
     server.should_exit = True
 
 
-def _prepare(opened: Opened) -> None:
-    with suppress(MgsgraphError):  # the request for it reports the error
-        scene_record(opened)
-        map_points(opened).value("sigma")
-        opened.footprints()
-        table(opened, "points")
+def prepare(opened: Opened, ended: threading.Event) -> None:
+    """Compute what a page asks for first, then what it needs for the first list, change and figure, and for the next
+    change after one of another process; one thing after the other, until the studio ends.
+    """
+    for make in (
+        lambda: scene_record(opened), lambda: map_points(opened).value("sigma"), opened.footprints,
+        lambda: table(opened, "points"), lambda: opened.once("worst", lambda: worst_record(opened)),
+        lambda: opened.once("verdict", lambda: verdict_record(opened)), opened.prepare_change,
+        lambda: compute_at_once(opened), load_figures,
+    ):  # fmt: skip
+        if ended.is_set():
+            return
+        with suppress(MgsgraphError):  # the request for it reports the error
+            make()
+    while not ended.wait(_LOOK):
+        with suppress(MgsgraphError):
+            opened.prepare_change()

@@ -1,6 +1,7 @@
 """Long work from the studio: jobs, their end and what they leave; the verdict with its reasons; the first screen."""
 
 import shutil
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -13,12 +14,17 @@ pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")
 from studio_server import CONTRAST, PANELS, Browser, Page, studio
 
+from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
+from mgsgraph.errors import InputError
 from mgsgraph.files.networks.table import read_tie_points
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import PointClass
 from mgsgraph.project import edits
 from mgsgraph.project.changes import solve_project
 from mgsgraph.project.project import open_project
+from mgsgraph.studio import server
+from mgsgraph.studio.changes import change
+from mgsgraph.studio.lists import window
 from mgsgraph.studio.opened import Opened
 from mgsgraph.studio.start import verdict_record, worst_record
 from mgsgraph.studio.work import Work
@@ -53,6 +59,58 @@ def processes(words: str) -> list[str]:
         if words in line:
             found.append(line)
     return found
+
+
+# --- what is prepared
+
+
+def prepared(opened: Opened) -> None:
+    """All that is computed before it is asked for; then the studio ends."""
+    ended = threading.Event()
+    thread = threading.Thread(target=server.prepare, args=(opened, ended))
+    thread.start()
+    until = time.monotonic() + 120.0
+    while opened._prepared != opened.revision or any(one["at_once"] for one in window(opened, {})["missing"]):
+        assert time.monotonic() < until
+        time.sleep(0.02)
+    ended.set()
+    thread.join(60.0)
+    assert not thread.is_alive()
+
+
+def test_preparing_leaves_the_folder_alone_and_the_first_change_begins_with_it(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    other, before = Path(shutil.copytree(folder, tmp_path / "other")), content(folder)
+    opened = Opened(folder)
+    prepared(opened)
+    assert content(folder) == before
+    point, image = next((row[0], row[1]) for row in window(opened, {"table": "measurements", "count": "1"})["rows"])
+    content_of_change = {"kind": "reject", "point": point, "image": image}
+    expected = change(Opened(other), content_of_change)
+    with monkeypatch.context() as patched:
+        patched.setattr(IncrementalAdjustment, "__init__", lambda *_: pytest.fail("read anew"))
+        found = change(opened, content_of_change)
+        assert {**found, "warning": ""} == {**expected, "warning": ""}  # which names the folder
+        with pytest.raises(InputError):
+            change(opened, content_of_change)
+    with open_project(folder, write=True) as project:  # as another process would
+        edits.accept(project, point, image)
+    opened.notice()
+    for _ in range(2):  # what was in memory is of no use then; the second finds it done
+        opened.prepare_change()
+        monkeypatch.setattr(IncrementalAdjustment, "__init__", lambda *_: pytest.fail("read anew"))
+    assert change(opened, content_of_change)["kind"] == "reject"
+
+
+def test_nothing_is_prepared_while_a_change_is_under_way_and_another_process_may_change_it(folder: Path) -> None:
+    opened = Opened(folder)
+    with opened._changing:  # a change is under way
+        opened.prepare_change()
+    assert opened._prepared != opened.revision
+    with open_project(folder, write=True):  # another process is changing it
+        opened.prepare_change()
+    assert opened._prepared == opened.revision
 
 
 # --- jobs
