@@ -3,12 +3,10 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
-from mgsgraph.adjustment.rounds import unmarked
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import at_values
 from mgsgraph.analysis.places import View
@@ -30,12 +28,13 @@ from mgsgraph.geometry.trajectory import tdb_of_utc
 from mgsgraph.names import image_names
 from mgsgraph.network.footprints import Corrections, Registration, footprints_in_images
 from mgsgraph.network.parts import unknowns
-from mgsgraph.planning.state import NetworkState, network_state, state_of_solution
-from mgsgraph.project.changes import incremental, is_solved
 from mgsgraph.project.project import CHANGING, Project, open_project
 from mgsgraph.results.archive import ARCHIVE, read_solution
-from mgsgraph.results.results import case_of
 from mgsgraph.units import DEG
+
+if TYPE_CHECKING:
+    from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
+    from mgsgraph.planning.state import NetworkState
 
 _OWN_CASE = Path("inputs", "case.toml")
 """Path of the case in the results of a demonstration."""
@@ -107,6 +106,8 @@ def case_with_results(path: Path, case: Path | None = None) -> CaseResults:
     if not path.is_dir() and path.suffix != ".npz":
         require(case is None, "--case", f"{case} beside the case {path}", "results as the other")
         return CaseResults(path)
+    from mgsgraph.results.results import case_of
+
     results = results_of(path)
     return CaseResults(case or results.case or case_of(results.folder), results.folder, results.ties)
 
@@ -139,7 +140,7 @@ def read_adjusted(path: Path) -> tuple[Solution, str]:
     return read_solution(results.folder), results.warning
 
 
-def read_state(path: Path) -> tuple[str, NetworkState, str]:
+def read_state(path: Path) -> tuple[str, "NetworkState", str]:
     """Name and state of an adjusted network, from a folder of results (or their archive) or a project; and a warning
     if the adjustment has not converged, else an empty text.
 
@@ -148,6 +149,9 @@ def read_state(path: Path) -> tuple[str, NetworkState, str]:
     InputError
         Neither of them; a project that was never solved; a solution without covariance.
     """
+    from mgsgraph.adjustment.rounds import unmarked
+    from mgsgraph.planning.state import network_state, state_of_solution
+
     if _is_project(path):
         with open_project(path) as project:
             adjustment = _adjusted(project, str(path))
@@ -179,6 +183,8 @@ def posterior_near(path: Path, point: str) -> Posterior | None:
     covariance of these unknowns in iSAM2, without reading other points. None without such a point or an adjustment,
     and for a bundle that is not self-contained (`is_self_contained`).
     """
+    from mgsgraph.project.changes import is_solved
+
     with open_project(path) as project:
         members = project.store.bundles_of([point]).get(point)
         if members is None or not is_solved(project):
@@ -208,8 +214,10 @@ def _is_project(path: Path) -> bool:
     return (path / PROJECT).exists()
 
 
-def _adjusted(project: Project, where: str) -> IncrementalAdjustment:
+def _adjusted(project: Project, where: str) -> "IncrementalAdjustment":
     """The incremental adjustment of a project; InputError for a project that was never solved."""
+    from mgsgraph.project.changes import incremental, is_solved
+
     if not project.store.image_names() or not is_solved(project):
         raise InputError(where, "a project without a solution", "an adjusted one", f"mgsgraph project solve {where}")
     return incremental(project)

@@ -1,6 +1,5 @@
 """A cluster for the time of some work: started or reached, checked, given tasks, and left as it was."""
 
-import asyncio
 import logging
 import os
 import signal
@@ -14,7 +13,6 @@ from concurrent.futures import CancelledError
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
-from multiprocessing import resource_tracker
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any, TypeVar
@@ -221,6 +219,8 @@ class Connection(Record):
 
 async def _aside(function: Callable[[_Item], _Result], item: _Item) -> _Result | Lost:
     """On a worker: in a thread, so that it goes on answering the scheduler."""
+    import asyncio
+
     try:
         return await asyncio.to_thread(_by_itself, function, item)
     except Exception as error:  # any error of the function: else it would look like a lost connection
@@ -431,6 +431,8 @@ def children_without_interrupts() -> Iterator[None]:
     if sys.platform == "win32":
         yield
         return
+    from multiprocessing import resource_tracker
+
     resource_tracker.ensure_running()  # multiprocessing's, which unblocks it when the first process begins
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
