@@ -168,6 +168,7 @@ def cached_kernel(function: Function, **options: Any) -> Function:
     """
     from numba import njit
     from numba.core.caching import FunctionCache
+    from numba.core.runtime.nrt import rtsys
 
     _watch_compiler()
 
@@ -196,6 +197,14 @@ def cached_kernel(function: Function, **options: Any) -> Function:
             if self._turn >= 0:
                 os.close(self._turn)
             self._turn = -1
+
+        def load_overload(self, signature: Any, context: Any) -> Any:
+            """Code from the disk without numba's tables of all that it can compile (and SciPy, which they import)."""
+            rtsys.initialize(context)
+            with self._guard_against_spurious_io_errors():
+                if (found := self._load_overload(signature, context)) is not None:
+                    return found
+            return super().load_overload(signature, context)
 
     digest = sources_of(function)
     kernel = njit(nogil=True, error_model="numpy", **options)(function)

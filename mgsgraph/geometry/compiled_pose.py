@@ -1,7 +1,5 @@
 """Nominal poses by compiled code: sampled tables interpolated as ISIS and SPICE do, and polynomials of the papers."""
 
-import numpy as np
-
 from mgsgraph.compiled import cached_kernel, compiled, make_equations_compilable
 from mgsgraph.factors.algebra import add, cross, product, scale, subtract, transform, transpose
 from mgsgraph.factors.interpolation import hermite
@@ -13,8 +11,15 @@ make_equations_compilable()
 
 @compiled
 def interval(times, at):
-    """Interval k of the samples times[k] .. times[k + 1] that serves a time; the outer ones extrapolate."""
-    return min(max(np.searchsorted(times, at, side="right") - 1, 0), times.size - 2)
+    """Interval k of the samples times[k] .. times[k + 1] that serves a time; the outer ones extrapolate.
+
+    Without `np.searchsorted`, with which a kernel from the cache would load numba's array functions and SciPy.
+    """
+    end, last = 1, times.size - 1
+    while end < last:
+        middle = (end + last) // 2
+        end, last = (end, middle) if at < times[middle] else (middle + 1, last)
+    return end - 1
 
 
 @compiled

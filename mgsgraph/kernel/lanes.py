@@ -15,7 +15,6 @@ from numba import config, njit, types
 from numba.core import cgutils
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, models, register_model
-from numba.np.arrayobj import make_array
 
 from mgsgraph.compiled import options_of_parts
 
@@ -44,6 +43,8 @@ class _RegistersModel(models.PrimitiveModel):
 def _view(kind: Registers) -> Any:
     def made(typing: Any, array: Any) -> Any:
         def generate(context: Any, builder: Any, call: Any, arguments: Any) -> Any:
+            from numba.np.arrayobj import make_array  # heavy; what comes from the cache needs none
+
             return make_array(call.args[0])(context, builder, arguments[0]).data
 
         return kind(array), generate

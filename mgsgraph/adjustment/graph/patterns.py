@@ -231,10 +231,11 @@ def distinct(signature):
 @cached_kernel
 def counted(number, count):
     """Points in the order of their numbers (n,), each below `count`: that order, its inverse, and how many of each."""
-    sizes = np.zeros(count, dtype=np.int64)
+    sizes, at = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
     for i in range(number.size):
         sizes[number[i]] += 1
-    at = np.cumsum(sizes) - sizes
+    for k in range(1, count):  # with `np.cumsum` a kernel from the cache would load numba's array functions and SciPy
+        at[k] = at[k - 1] + sizes[k - 1]
     order, index = np.empty(number.size, dtype=np.int64), np.empty(number.size, dtype=np.int64)
     for i in range(number.size):
         k = at[number[i]]
