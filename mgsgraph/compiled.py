@@ -179,13 +179,20 @@ def cached_kernel(function: Function, **options: Any) -> Function:
             self._turn = -1  # descriptor of the lock, as long as this process compiles
 
         def load_overload(self, signature: Any, target: Any) -> Any:
-            found = super().load_overload(signature, target)
+            found = self._from_disk(signature, target)
             if found is None and self._turn < 0:
                 self._turn = _take_turn(Path(self.cache_path) / f"{function.__name__}.lock")
-                found = super().load_overload(signature, target)
+                found = self._from_disk(signature, target)
             if found is not None:
                 self.end_turn()
             return found
+
+        def _from_disk(self, signature: Any, target: Any) -> Any:
+            """Without numba's tables of all that it can compile, and SciPy, which they import; None if it isn't there."""
+            rtsys.initialize(target)
+            with self._guard_against_spurious_io_errors():
+                return self._load_overload(signature, target)
+            return None
 
         def save_overload(self, signature: Any, data: Any) -> None:
             try:
@@ -197,14 +204,6 @@ def cached_kernel(function: Function, **options: Any) -> Function:
             if self._turn >= 0:
                 os.close(self._turn)
             self._turn = -1
-
-        def load_overload(self, signature: Any, context: Any) -> Any:
-            """Code from the disk without numba's tables of all that it can compile (and SciPy, which they import)."""
-            rtsys.initialize(context)
-            with self._guard_against_spurious_io_errors():
-                if (found := self._load_overload(signature, context)) is not None:
-                    return found
-            return super().load_overload(signature, context)
 
     digest = sources_of(function)
     kernel = njit(nogil=True, error_model="numpy", **options)(function)
