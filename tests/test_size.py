@@ -14,10 +14,10 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 CEILINGS = {
-    "cli": (1408, 14611, 11),
+    "cli": (1410, 14623, 11),
     "studio": (2497, 39628, 19),
     "fetch": (1363, 16570, 9),
-    "project": (2711, 36654, 17),
+    "project": (2712, 36659, 17),
     "export": (2765, 39906, 18),
     "simulation": (2861, 42747, 22),
     "results": (4246, 64402, 35),
@@ -25,16 +25,16 @@ CEILINGS = {
     "planning": (886, 13942, 6),
     "case": (2175, 32455, 11),
     "analysis": (4978, 80645, 28),
-    "adjustment": (7504, 114912, 43),
+    "adjustment": (7505, 114954, 43),
     "matching": (2094, 34449, 13),
     "network": (3256, 53085, 16),
     "files": (8892, 123716, 54),
-    "kernel": (2672, 46050, 15),
-    "geometry": (2892, 48407, 18),
+    "kernel": (2686, 46389, 15),
+    "geometry": (2896, 48451, 18),
     "factors": (867, 13743, 18),
-    "single files": (871, 10167, 10),
+    "single files": (944, 10725, 10),
     "scripts": (7002, 112220, 51),
-    "tests": (39079, 588764, 216),
+    "tests": (39106, 589064, 217),
     "docs": (157, 1791, 4),
 }  # fmt: skip
 """Room: lines of code, nodes, files."""
