@@ -104,7 +104,7 @@ def make_equations_compilable() -> None:
     from numba.extending import register_jitable
 
     compilable = register_jitable(
-        forceinline=True, fastmath={"contract", "nsz"}, error_model="numpy", **options_of_parts(), _nrt=False
+        forceinline=True, fastmath={"contract", "nsz"}, error_model="numpy", **options_of_parts()
     )
     while _equations:
         compilable(_equations.pop())
@@ -118,8 +118,10 @@ def compiled(function: Function) -> Function:
 
 
 def options_of_parts() -> dict[str, Any]:
-    """Options of numba for what compiled code alone calls, without entries for Python and C."""
-    return {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": compiler_of_parts()}
+    """Options of numba for what compiled code alone calls, without entries for Python and C. None makes an array: those
+    that come and go need not be counted (NumPy's runtime in Numba, nrt).
+    """
+    return {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": compiler_of_parts(), "_nrt": False}
 
 
 @cache

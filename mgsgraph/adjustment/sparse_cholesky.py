@@ -104,9 +104,9 @@ class SparseCholesky:
         for k, front in enumerate(self._fronts):
             w, rest = front.width, front.columns.size - front.width
             frontal, across, beyond = (np.zeros(shape, order="F") for shape in ((w, w), (w, rest), (rest, rest)))
-            _assemble(frontal, across, flat, front.source, front.shape, front.place, front.turned)
+            _assemble(frontal.T, across.T, flat, front.source, front.shape, front.place, front.turned)
             for child in front.children:
-                _add_at(frontal, across, beyond, updates.pop(child), self._fronts[child].index)
+                _add_at(frontal.T, across.T, beyond.T, updates.pop(child).T, self._fronts[child].index)
             numbers = np.arange(w)
             frontal[numbers, numbers] += extra[front.columns[:w]]
             before = np.diagonal(frontal).copy()
@@ -141,7 +141,7 @@ class SparseCholesky:
         flat = np.empty(sum(front.width * front.columns.size for front in fronts))
         for front, (upper, across) in zip(fronts, rows[::-1], strict=True):
             size = front.width * front.columns.size
-            _store_rows(upper, across, scales[front.columns], flat[at : at + size].reshape(front.width, -1))
+            _store_rows(upper.T, across.T, scales[front.columns], flat[at : at + size].reshape(front.width, -1))
             at += size
         return SquareRoot(
             self.first.copy(), self.width.copy(),
@@ -311,7 +311,7 @@ def _scale(flat, offset, shape, first, scales):
 
 @cached_kernel
 def _store_rows(upper, across, scales, target):
-    """Rows [R T] of a clique per m and rad, from those in units of `scales`; zeros below the diagonal of R.
+    """Rows [R T] of a clique per m and rad, from R' and T' in units of `scales`; zeros below the diagonal of R.
 
     In squares that stay in the cache: what is read lies column by column, what is written row by row.
     """
@@ -319,14 +319,14 @@ def _store_rows(upper, across, scales, target):
     for top in range(0, width, 32):
         for begin in range(0, columns, 32):
             for j in range(begin, min(begin + 32, columns)):
-                source = upper[:, j] if j < width else across[:, j - width]
+                source = upper[j] if j < width else across[j - width]
                 for i in range(top, min(top + 32, width)):
                     target[i, j] = source[i] / scales[j] if i <= j else 0.0
 
 
 @cached_kernel
 def _assemble(frontal, across, flat, source, shape, place, turned):
-    """Put original blocks into the rows of a front's frontal variables, upper triangle."""
+    """Put original blocks into the rows of a front's frontal variables, upper triangle; a front is given transposed."""
     width = frontal.shape[0]
     for b in range(source.size):
         rows, columns = shape[b]
@@ -336,24 +336,26 @@ def _assemble(frontal, across, flat, source, shape, place, turned):
                 value = flat[source[b] + i * columns + j]
                 row, column = (down + j, right + i) if turned[b] else (down + i, right + j)
                 if column < width:
-                    frontal[row, column] += value
+                    frontal[column, row] += value
                 else:
-                    across[row, column - width] += value
+                    across[column - width, row] += value
 
 
 @cached_kernel
 def _add_at(frontal_block, across, beyond, part, index):
-    """Add the upper triangle of a child's left-over to its parent's front, at rows and columns `index`, ascending."""
+    """Add the upper triangle of a child's left-over to its parent's front, at rows and columns `index`, ascending; all
+    are given transposed.
+    """
     width = frontal_block.shape[0]
     frontal = np.searchsorted(index, width)
     for j in range(index.size):
-        column, source = index[j], part[:, j]
+        column, source = index[j], part[j]
         if column < width:
-            target = frontal_block[:, column]
+            target = frontal_block[column]
             for i in range(j + 1):
                 target[index[i]] += source[i]
         else:
-            target, rest = across[:, column - width], beyond[:, column - width]
+            target, rest = across[column - width], beyond[column - width]
             for i in range(frontal):
                 target[index[i]] += source[i]
             for i in range(frontal, j + 1):

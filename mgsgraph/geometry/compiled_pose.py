@@ -29,6 +29,16 @@ def vector(values, k):
 
 
 @compiled
+def rows_of(matrix):
+    """A matrix (3, 3) as rows."""
+    return (
+        (matrix[0, 0], matrix[0, 1], matrix[0, 2]),
+        (matrix[1, 0], matrix[1, 1], matrix[1, 2]),
+        (matrix[2, 0], matrix[2, 1], matrix[2, 2]),
+    )
+
+
+@compiled
 def set_vector(values, k, vector):
     """Set row k of an array (n, 3)."""
     values[k, 0], values[k, 1], values[k, 2] = vector
@@ -58,7 +68,7 @@ def attitude_at(time, table):
     times, quaternions, turns, constant = table
     k = interval(times, time)
     step = times[k + 1] - times[k]
-    fixed = vector(constant, 0), vector(constant, 1), vector(constant, 2)
+    fixed = rows_of(constant)
     turn, q = vector(turns, k), quaternions[k]
     sampled = product(rotation(scale((time - times[k]) / step, turn)), quaternion_matrix((q[0], q[1], q[2], q[3])))
     return product(fixed, sampled), transform(fixed, scale(1.0 / step, turn))
@@ -87,9 +97,7 @@ def places(times, table, position, velocity):
 def quaternions(matrix, result):
     """Unit quaternions (n, 4) of rotation matrices (n, 3, 3)."""
     for i in range(matrix.shape[0]):
-        m = matrix[i]
-        rows = vector(m, 0), vector(m, 1), vector(m, 2)
-        result[i, 0], result[i, 1], result[i, 2], result[i, 3] = matrix_quaternion(rows)
+        result[i, 0], result[i, 1], result[i, 2], result[i, 3] = matrix_quaternion(rows_of(matrix[i]))
 
 
 @cached_kernel

@@ -13,7 +13,7 @@ from mgsgraph.factors.collinearity import (
     residual,
     to_lines_and_samples,
 )
-from mgsgraph.geometry.compiled_pose import place_at, set_vector, vector
+from mgsgraph.geometry.compiled_pose import place_at, rows_of, set_vector, vector
 
 make_equations_compilable()
 
@@ -107,7 +107,7 @@ def newton_steps(points, pose, detector, focal, step, derivative, across):
     position, velocity, matrix, rate = pose
     place, slope = detector
     for i in range(points.shape[0]):
-        attitude = vector(matrix[i], 0), vector(matrix[i], 1), vector(matrix[i], 2)
+        attitude = rows_of(matrix[i])
         ray = transform(attitude, subtract(vector(points, i), vector(position, i)))
         ray = ray[0], ray[1], ray[2] if ray[2] > 0.0 else np.nan
         motion = image_motion(ray, ray_motion(attitude, ray, vector(velocity, i), vector(rate, i)), focal)

@@ -25,7 +25,7 @@ import pyarrow.compute as pc
 
 from mgsgraph.errors import EphemerisGap, InputError
 from mgsgraph.geometry import rotation
-from mgsgraph.geometry.records import Array, assign, frozen
+from mgsgraph.geometry.records import Array, assign, frozen, read_only
 from mgsgraph.names import Names, RepeatedNames
 from mgsgraph.record import Record
 
@@ -95,7 +95,7 @@ class AttitudeTable(Record):
             raise InputError("attitude table, constant rotation", "a matrix that is no rotation", "orthonormal rows")
         unit = quaternions / norm[:, None]
         unit.flags.writeable = False
-        assign(self, times=times, quaternions=unit, constant=constant)
+        assign(self, times=times, quaternions=unit, constant=read_only(np.ascontiguousarray(constant)))
 
     @cached_property
     def turns(self) -> Array:

@@ -274,8 +274,7 @@ if _config.DISABLE_JIT:  # plain Python, to look at or to count: arrays are what
             sink[index + k * step : index + k * step + FOUR] = [array[row + k] for row in (a, b, c, d)]
 
 
-_INSIDE: dict[str, Any] = {"error_model": "numpy", "_nrt": False, **options_of_parts()}
-"""Nothing here makes an array: those that come and go need not be counted (NumPy's runtime in Numba, nrt)."""
+_INSIDE: dict[str, Any] = {"error_model": "numpy", **options_of_parts()}
 
 lane = njit(fastmath={"contract", "nsz"}, **_INSIDE)
 """Compile a function over lanes: division by zero gives inf, as in NumPy; products and sums may be fused.

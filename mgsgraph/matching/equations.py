@@ -5,7 +5,7 @@ that follow. Compiled into the kernel of `window`, which says what is estimated.
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,6 +93,8 @@ def _filtered(pixels: NDArray[Any]) -> NDArray[np.float32]:
 
 
 Reals = NDArray[np.float64]
+Symmetric = tuple[float, float, float]
+"""A symmetric matrix (2, 2): upper left, beside it, lower right."""
 
 PLAIN, RELIEF = 8, 11
 """Unknowns without and with relief."""
@@ -105,6 +107,18 @@ window; weight, and weight that counts the middle alone; by how much the pixel p
 WIDTH = PULL + 2
 NO_CONTRAST = 1e-5
 """Scatter of grey values relative to their size, which float32 coefficients don't resolve."""
+
+
+class Room(NamedTuple):
+    """Where windows are worked on, one after the other."""
+
+    z: Reals
+    j: Reals
+    """(unknowns,) instruments and derivatives of a pixel."""
+    step: Reals
+    """(unknowns,)"""
+    system: Reals
+    """(unknowns, 2 unknowns + 4) a normal matrix, and right sides."""
 
 
 @compiled
@@ -197,104 +211,126 @@ def derivatives(pixels: Reals, i: int, x: Reals, e: Reals, z: Reals, j: Reals) -
         j[8], j[9], j[10] = along_j * down * down, along_j * down * across, along_j * across * across
 
 
-
 _BLOCK = 4
 """pixels along and across a block of pulls: residuals are correlated over fewer, or over more
 than a window can tell."""
 
 
 @compiled
-def _influences(pixels: Reals, x: Reals, e: Reals, by: Reals) -> bool:
-    """Fill by (unknowns, 4): a pixel's influence on the position is by[:, :2]' w z, on the bend
+def _influences(pixels: Reals, x: Reals, e: Reals, room: Room) -> bool:
+    """Leave `by` (unknowns, 4) right of the normal matrix: a pixel's influence on the position is by[:, :2]' w z, on
+    the bend
     by[:, :2]' n z - by[:, 2:]' w z
     with the narrow weights n, scaled to the sum of w. False where the texture does not determine the position.
 
     The bend leans on the whole window's normal matrix: the middle's own may be singular.
     """
-    unknowns = x.size
-    z, j = np.empty(unknowns), np.empty(unknowns)
-    wide, narrow = np.zeros((unknowns, unknowns)), np.zeros((unknowns, unknowns))
+    z, j, system, unknowns = room.z, room.j, room.system, x.size
+    bend, narrow = unknowns + 2, unknowns + 4
+    for k in range(unknowns):
+        for m in range(system.shape[1]):
+            system[k, m] = 1.0 if m == unknowns + k and m < bend else 0.0
     for i in range(pixels.shape[0]):
         derivatives(pixels, i, x, e, z, j)
         for k in range(unknowns):
             for m in range(unknowns):
-                wide[m, k] += pixels[i, WEIGHT] * z[k] * j[m]
-                narrow[m, k] += pixels[i, NARROW] * z[k] * j[m]
-    if not abs(np.linalg.det(wide)) > 0.0:
+                system[m, k] += pixels[i, WEIGHT] * z[k] * j[m]
+                system[m, narrow + k] += pixels[i, NARROW] * z[k] * j[m]
+    if not solve(system):
         return False
-    place = np.linalg.solve(wide, np.eye(unknowns)[:, :2].copy())
-    by[:, :2], by[:, 2:] = place, np.linalg.solve(wide, narrow @ place)
-    return bool(by[0, 0] > 0.0 and by[1, 1] > 0.0 and 4.0 * by[0, 0] * by[1, 1] > (by[0, 1] + by[1, 0]) ** 2)
+    for k in range(unknowns):
+        for c in range(2):
+            for m in range(unknowns):
+                system[k, bend + c] += system[k, narrow + m] * system[m, unknowns + c]
+    line, sample = system[0, unknowns], system[1, unknowns + 1]
+    both = system[0, unknowns + 1] + system[1, unknowns]
+    return bool(line > 0.0 and sample > 0.0 and 4.0 * line * sample > both * both)
 
 
 @compiled
-def _sums(pixels: Reals, x: Reals, e: Reals, by: Reals, row: Reals) -> tuple[Reals, Reals, float]:
-    """Fill the pulls, the residual and the bend; sums of squared influences on the position and on the bend (2, 2
-    each), times the variance of a residual, and by how much sums of squares grow for the unknowns' sake.
+def solve(system: Reals) -> bool:
+    """Solve a x = b, given [a b] (n, n + columns), in place, by elimination with partial pivoting; False where a is
+    singular.
     """
-    z, j = np.empty(x.size), np.empty(x.size)
-    of_place, of_bend, bend = np.zeros((2, 2)), np.zeros((2, 2)), np.zeros(2)
-    u, v = np.empty(2), np.empty(2)
-    square, weight, weight_square = 0.0, 0.0, 0.0
+    n, end = system.shape
+    for k in range(n):
+        pivot = k
+        for i in range(k + 1, n):
+            pivot = i if abs(system[i, k]) > abs(system[pivot, k]) else pivot
+        if not abs(system[pivot, k]) > 0.0:
+            return False
+        for m in range(k, end):
+            system[k, m], system[pivot, m] = system[pivot, m], system[k, m]
+        for i in range(k + 1, n):
+            factor = system[i, k] / system[k, k]
+            for m in range(k + 1, end):
+                system[i, m] -= factor * system[k, m]
+    for k in range(n - 1, -1, -1):
+        for m in range(n, end):
+            for i in range(k + 1, n):
+                system[k, m] -= system[k, i] * system[i, m]
+            system[k, m] /= system[k, k]
+    return True
+
+
+@compiled
+def _sums(pixels: Reals, x: Reals, e: Reals, room: Room, row: Reals) -> tuple[Symmetric, Symmetric, float]:
+    """Fill the pulls, the residual and the bend; sums of squared influences on the position and on the bend, times the
+    variance of a residual, and by how much sums of squares grow for the unknowns' sake.
+    """
+    z, by, first = room.z, room.system, x.size
+    square, weight, weight_square, bend0, bend1 = 0.0, 0.0, 0.0, 0.0, 0.0
+    place00, place01, place11, bend00, bend01, bend11 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(pixels.shape[0]):
-        derivatives(pixels, i, x, e, z, j)
+        derivatives(pixels, i, x, e, z, room.j)
         residue = pixels[i, T] - x[6] * pixels[i, S] - x[7]
-        for k in range(2):
-            u[k], v[k] = 0.0, 0.0
-            for m in range(x.size):
-                u[k] += by[m, k] * z[m]
-                v[k] += by[m, 2 + k] * z[m]
-            v[k] = pixels[i, NARROW] * u[k] - pixels[i, WEIGHT] * v[k]
-            u[k] *= pixels[i, WEIGHT]
-        for k in range(2):
-            pixels[i, PULL + k] = u[k] * residue
-            bend[k] += v[k] * residue
-            for m in range(2):
-                of_place[k, m] += u[k] * u[m]
-                of_bend[k, m] += v[k] * v[m]
-        square += pixels[i, WEIGHT] * residue * residue
-        weight += pixels[i, WEIGHT]
-        weight_square += pixels[i, WEIGHT] * pixels[i, WEIGHT]
+        u0, u1, v0, v1, wide, narrow = 0.0, 0.0, 0.0, 0.0, pixels[i, WEIGHT], pixels[i, NARROW]
+        for m in range(x.size):
+            u0, u1 = u0 + by[m, first] * z[m], u1 + by[m, first + 1] * z[m]
+            v0, v1 = v0 + by[m, first + 2] * z[m], v1 + by[m, first + 3] * z[m]
+        u0, u1, v0, v1 = wide * u0, wide * u1, narrow * u0 - wide * v0, narrow * u1 - wide * v1
+        pixels[i, PULL], pixels[i, PULL + 1] = u0 * residue, u1 * residue
+        bend0, bend1 = bend0 + v0 * residue, bend1 + v1 * residue
+        place00, place01, place11 = place00 + u0 * u0, place01 + u0 * u1, place11 + u1 * u1
+        bend00, bend01, bend11 = bend00 + v0 * v0, bend01 + v0 * v1, bend11 + v1 * v1
+        square, weight, weight_square = square + wide * residue * residue, weight + wide, weight_square + wide * wide
     growth = 1.0 / (1.0 - x.size * weight_square / (weight * weight))
     variance = growth * square / weight
-    row[RESIDUAL], row[BEND], row[BEND + 1] = math.sqrt(variance), bend[0], bend[1]
-    return variance * of_place, variance * of_bend, growth
+    row[RESIDUAL], row[BEND], row[BEND + 1] = math.sqrt(variance), bend0, bend1
+    return times(variance, (place00, place01, place11)), times(variance, (bend00, bend01, bend11)), growth
 
 
 @compiled
-def _misfit(pixels: Reals, x: Reals, e: Reals, row: Reals) -> None:
+def _misfit(pixels: Reals, x: Reals, e: Reals, room: Room, row: Reals) -> None:
     """Fill the normal equations (3, 4) of the middle's squared residuals over a constant and squares of derivatives by
     line and sample, c + T00 l l + T01 2 l s + T11 s s; the constant is reduced.
 
     Derivatives of the two pictures are multiplied with each other: the square of a noisy one is too large.
     """
-    z, j = np.empty(x.size), np.empty(x.size)
-    squares, own, mean, total = np.empty(3), np.empty(4), np.zeros(4), np.zeros((3, 4))
-    sums, weight = np.zeros(3), 0.0
+    z, j, total = room.z, room.j, room.system
+    for k in range(4):
+        for m in range(5):
+            total[k, m] = 0.0
     for i in range(pixels.shape[0]):
         derivatives(pixels, i, x, e, z, j)
-        squares[0], squares[1], squares[2] = z[0] * z[0], 2.0 * z[0] * z[1], z[1] * z[1]
-        own[0], own[1], own[2] = z[0] * j[0], z[0] * j[1] + z[1] * j[0], z[1] * j[1]
-        own[3] = (pixels[i, T] - x[6] * pixels[i, S] - x[7]) ** 2
-        weight += pixels[i, NARROW]
-        for m in range(4):
-            mean[m] += pixels[i, NARROW] * (own[m] - mean[m]) / weight
-        for k in range(3):
-            sums[k] += pixels[i, NARROW] * squares[k]
-            for m in range(4):
+        residue = pixels[i, T] - x[6] * pixels[i, S] - x[7]
+        squares = 1.0, z[0] * z[0], 2.0 * z[0] * z[1], z[1] * z[1]
+        own = 1.0, z[0] * j[0], z[0] * j[1] + z[1] * j[0], z[1] * j[1], residue * residue
+        for k in range(4):
+            for m in range(5):
                 total[k, m] += pixels[i, NARROW] * squares[k] * own[m]
     for k in range(3):
         for m in range(4):
-            row[MISFIT + 4 * k + m] = total[k, m] - sums[k] * mean[m]
+            row[MISFIT + 4 * k + m] = total[1 + k, 1 + m] - total[1 + k, 0] * total[0, 1 + m] / total[0, 0]
 
 
 @compiled
-def _blocks(pixels: Reals, half: tuple[int, int]) -> Reals:
-    """Sum of the products (2, 2) of neighbouring pixels' pulls, with Bartlett's weights: over all square blocks, those
+def _blocks(pixels: Reals, half: tuple[int, int]) -> Symmetric:
+    """Sum of the products of neighbouring pixels' pulls, with Bartlett's weights: over all square blocks, those
     that stand out of the window included, the squared sums of pulls (Newey & West 1987, Conley 1999). Never negative.
     """
     down, across = 2 * half[0] + 1, 2 * half[1] + 1
-    total = np.zeros((2, 2))
+    total00, total01, total11 = 0.0, 0.0, 0.0
     for i in range(1 - _BLOCK, down):
         for j in range(1 - _BLOCK, across):
             line, sample = 0.0, 0.0
@@ -302,27 +338,38 @@ def _blocks(pixels: Reals, half: tuple[int, int]) -> Reals:
                 for m in range(max(j, 0), min(j + _BLOCK, across)):
                     line += pixels[k * across + m, PULL]
                     sample += pixels[k * across + m, PULL + 1]
-            total[0, 0] += line * line
-            total[0, 1] += line * sample
-            total[1, 1] += sample * sample
-    total[1, 0] = total[0, 1]
-    return total / _BLOCK**2
+            total00, total01, total11 = total00 + line * line, total01 + line * sample, total11 + sample * sample
+    return times(1.0 / _BLOCK**2, (total00, total01, total11))
 
 
 @compiled
-def _raise_to(a: Reals, floor: Reals) -> None:
-    """Make a (2, 2) no smaller than the floor in any direction."""
-    unit = np.linalg.cholesky(floor)
-    back = np.linalg.inv(unit)
-    ratios, vectors = np.linalg.eigh(back @ a @ back.T)
-    ways = unit @ vectors
-    for k in range(2):
-        if ratios[k] < 1.0:
-            a += (1.0 - ratios[k]) * np.outer(ways[:, k], ways[:, k])
+def times(factor: float, a: Symmetric) -> Symmetric:
+    """The product of a factor and a matrix."""
+    return factor * a[0], factor * a[1], factor * a[2]
 
 
 @compiled
-def fill_covariance(pixels: Reals, x: Reals, e: Reals, half: tuple[int, int], row: Reals) -> bool:
+def raised(a: Symmetric, floor: Symmetric) -> Symmetric:
+    """a, no smaller than the floor in any direction: plus the positive part of d = floor - a, to which belong the
+    positive ones of the roots of det(d - root floor) = 0.
+    """
+    d0, d1, d2 = floor[0] - a[0], floor[1] - a[1], floor[2] - a[2]
+    determinant = floor[0] * floor[2] - floor[1] * floor[1]
+    middle = 0.5 * (floor[0] * d2 - 2.0 * floor[1] * d1 + floor[2] * d0) / determinant
+    product = (d0 * d2 - d1 * d1) / determinant
+    if product >= 0.0:  # of one sign
+        return floor if middle > 0.0 else a
+    apart = math.sqrt(middle * middle - product)
+    high = middle + apart if middle > 0.0 else product / (middle - apart)
+    low = product / high
+    part = 0.5 * high / apart
+    return (
+        a[0] + part * (d0 - low * floor[0]), a[1] + part * (d1 - low * floor[1]), a[2] + part * (d2 - low * floor[2]),
+    )  # fmt: skip
+
+
+@compiled
+def fill_covariance(pixels: Reals, x: Reals, e: Reals, half: tuple[int, int], room: Room, row: Reals) -> bool:
     """Fill residual, covariance of the noise, bend and its covariance; False where the texture does not determine the
     position.
 
@@ -330,15 +377,14 @@ def fill_covariance(pixels: Reals, x: Reals, e: Reals, half: tuple[int, int], ro
     that the model does not follow moves the position from the anchor's own to the window's mean. It shows in the bend,
     by how much the position moves when the middle alone counts.
     """
-    by = np.empty((x.size, 4))
-    if not _influences(pixels, x, e, by):
+    if not _influences(pixels, x, e, room):
         return False
-    white, of_bend, growth = _sums(pixels, x, e, by, row)
-    _misfit(pixels, x, e, row)
-    covariance = growth * _blocks(pixels, half)
-    if white[0, 0] > 0.0 and white[0, 0] * white[1, 1] > white[0, 1] * white[0, 1]:
-        _raise_to(covariance, white)
+    white, of_bend, growth = _sums(pixels, x, e, room, row)
+    _misfit(pixels, x, e, room, row)
+    covariance = times(growth, _blocks(pixels, half))
+    if white[0] > 0.0 and white[0] * white[2] > white[1] * white[1]:
+        covariance = raised(covariance, white)
     for k in range(2):
         for m in range(2):
-            row[NOISE + 2 * k + m], row[OF_BEND + 2 * k + m] = covariance[k, m], of_bend[k, m]
+            row[NOISE + 2 * k + m], row[OF_BEND + 2 * k + m] = covariance[k + m], of_bend[k + m]
     return True

@@ -32,6 +32,7 @@ from mgsgraph.matching.equations import (
     WEIGHT,
     WIDTH,
     Reals,
+    Room,
     S,
     T,
     derivatives,
@@ -51,18 +52,20 @@ _FAR, _TURN = 1.0, 4.0
 
 
 @compiled
-def _step(pixels: Reals, x: Reals, e: Reals, step: Reals) -> bool:
+def _step(pixels: Reals, x: Reals, e: Reals, room: Room) -> bool:
     """Gauss-Newton step to where z is orthogonal to the residuals; False where the normal matrix is singular.
 
     Its matrix is that of the mean of z and j, which far from the solution is better than either (Malis 2004).
     """
-    unknowns = x.size
-    z, j, normal = np.empty(unknowns), np.empty(unknowns), np.zeros((unknowns, unknowns))
-    step[:] = 0.0
+    z, j, normal, step = room.z, room.j, room.system, room.step
+    for k in range(x.size):
+        step[k] = 0.0
+        for m in range(k + 1):
+            normal[k, m] = 0.0
     for i in range(pixels.shape[0]):
         derivatives(pixels, i, x, e, z, j)
         residue = pixels[i, T] - x[6] * pixels[i, S] - x[7]
-        for k in range(unknowns):
+        for k in range(x.size):
             step[k] += pixels[i, WEIGHT] * z[k] * residue
             j[k] = 0.5 * (z[k] + j[k])
             for m in range(k + 1):
@@ -121,19 +124,28 @@ def _move(x: Reals, step: Reals, half: tuple[int, int]) -> tuple[float, float]:
 @compiled
 def _radiometry(pixels: Reals, x: Reals) -> bool:
     """Gain and offset that make the two windows' means and scatters equal; False where the search has no contrast."""
+    mean_t, mean_s, square_t, square_s, _ = _moments(pixels)
+    if not math.sqrt(square_s / pixels.shape[0]) > NO_CONTRAST * abs(mean_s):
+        return False
+    x[6] = math.sqrt(square_t / square_s)
+    x[7] = mean_t - x[6] * mean_s
+    return True
+
+
+@compiled
+def _moments(pixels: Reals) -> tuple[float, float, float, float, float]:
+    """Of grey values of the template and of the search picture: both means; sums of both squares about them, and of the
+    products.
+    """
     n = pixels.shape[0]
-    mean_t, mean_s, var_t, var_s = 0.0, 0.0, 0.0, 0.0
+    mean_t, mean_s, square_t, square_s, product = 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(n):
         mean_t += pixels[i, T] / n
         mean_s += pixels[i, S] / n
     for i in range(n):
-        var_t += (pixels[i, T] - mean_t) ** 2
-        var_s += (pixels[i, S] - mean_s) ** 2
-    if not math.sqrt(var_s / n) > NO_CONTRAST * abs(mean_s):
-        return False
-    x[6] = math.sqrt(var_t / var_s)
-    x[7] = mean_t - x[6] * mean_s
-    return True
+        t, s = pixels[i, T] - mean_t, pixels[i, S] - mean_s
+        square_t, square_s, product = square_t + t * t, square_s + s * s, product + t * s
+    return mean_t, mean_s, square_t, square_s, product
 
 
 @compiled
@@ -164,21 +176,21 @@ def _marked(marks: NDArray[np.uint8], x: Reals, e: Reals, half: tuple[int, int])
 @compiled
 def _iterate(
     c: NDArray[np.float32], x: Reals, e: Reals, half: tuple[int, int], most: int, tolerance: float, reach: float,
-    pixels: Reals,
+    pixels: Reals, room: Room,
 ) -> int:
     """Iterate the unknowns to the solution; the final state."""
     lines, samples = c.shape[0] - 3, c.shape[1] - 3
     first_line, first_sample, scale = x[0], x[1], x[2] * x[5] - x[3] * x[4]
-    step, settled = np.empty(x.size), False
+    settled = False
     for iteration in range(most + 1):
         if not inside(x, e, half, lines, samples):
             return LEFT
         resample(c, x, e, half, pixels)
         if iteration == 0 and not _radiometry(pixels, x):
             return FLAT
-        if not _step(pixels, x, e, step):
+        if not _step(pixels, x, e, room):
             return FLAT
-        moved, turned = _move(x, step, half)
+        moved, turned = _move(x, room.step, half)
         if math.hypot(x[0] - first_line, x[1] - first_sample) > reach or out_of_shape(x, e, half, scale):
             return WANDERED
         if settled and inside(x, e, half, lines, samples):  # one step more, which without noise is exact
@@ -186,13 +198,6 @@ def _iterate(
             return CONVERGED
         settled = moved < tolerance and turned < 10.0 * tolerance
     return UNFINISHED
-
-
-@compiled
-def _correlation(pixels: Reals) -> float:
-    """Of the template with the search picture."""
-    t, s = pixels[:, T] - np.mean(pixels[:, T]), pixels[:, S] - np.mean(pixels[:, S])
-    return float(np.sum(t * s) / math.sqrt(np.sum(t * t) * np.sum(s * s)))
 
 
 @cached_kernel
@@ -217,16 +222,17 @@ def match_windows(
     """
     size = weights.shape[0]
     relief = starts.shape[1] == PLAIN
-    pixels, x, own = np.empty((size, WIDTH)), np.zeros(RELIEF if relief else PLAIN), np.zeros(PLAIN)
-    e = np.zeros(2)
-    own[2] = own[5] = 1.0
+    unknowns = RELIEF if relief else PLAIN
+    pixels, x, own, e = np.empty((size, WIDTH)), np.empty(unknowns), np.empty(PLAIN), np.empty(2)
+    system = np.empty((unknowns, 2 * unknowns + 4))
+    room = Room(np.empty(unknowns), np.empty(unknowns), np.empty(unknowns), system)
     for n in range(anchors.shape[0]):
-        own[0], own[1] = anchors[n, 0], anchors[n, 1]
-        x[:] = 0.0
-        x[:6] = starts[n, :6]
-        x[6] = 1.0
-        if relief:
-            e[:] = starts[n, 6:]
+        for k in range(unknowns):
+            x[k] = starts[n, k] if k < 6 else (1.0 if k == 6 else 0.0)
+        for k in range(PLAIN):
+            own[k] = anchors[n, k] if k < 2 else (1.0 if k == 2 or k == 5 else 0.0)
+        for k in range(2):
+            e[k] = starts[n, 6 + k] if relief else 0.0
         states[n] = LEFT
         if not inside(own, e, half, template_marks.shape[0], template_marks.shape[1]):
             continue
@@ -241,14 +247,16 @@ def match_windows(
         if begins_inside and _marked(search_marks, x, e, half)[0] > most_saturated * size:
             states[n] = SATURATED
             continue
-        states[n] = _iterate(search, x, e, half, most, tolerance, reach, pixels)
+        states[n] = _iterate(search, x, e, half, most, tolerance, reach, pixels, room)
         if states[n] != CONVERGED:
             continue
         saturated, missing = _marked(search_marks, x, e, half)
         if missing > 0 or saturated > most_saturated * size:
             states[n] = SATURATED if missing == 0 else LEFT
-        elif fill_covariance(pixels, x, e, half, rows[n]):
-            rows[n, :PLAIN] = x[:PLAIN]
-            rows[n, CORRELATION] = _correlation(pixels)
+        elif fill_covariance(pixels, x, e, half, room, rows[n]):
+            for k in range(PLAIN):
+                rows[n, k] = x[k]
+            _, _, square_t, square_s, product = _moments(pixels)
+            rows[n, CORRELATION] = product / math.sqrt(square_t * square_s)
         else:
             states[n] = FLAT

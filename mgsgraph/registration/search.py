@@ -393,7 +393,7 @@ def _compared(
     heights, weights = heights[own], weights[own]
     both = (weights > 0.0) & (weights[first] > 0.0)
     misfits, lowest = (
-        left_of_lines(np.ascontiguousarray(np.broadcast_to(some, both.shape)), weight * both, moved.along)[0] + penalty
+        left_of_lines(np.broadcast_to(some, both.shape).copy(), weight * both, moved.along)[0] + penalty
         for some, weight, penalty in (
             (heights, weights, fitted.penalty),
             (heights[first], weights[first], fitted.penalty[first]),

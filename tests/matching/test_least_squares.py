@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from numba import njit
 from numpy.typing import NDArray
 
@@ -20,6 +22,8 @@ from mgsgraph.matching.least_squares import EMPHASIS, LeastSquaresMatches, Match
 
 Array = NDArray[np.float64]
 spline_at = njit(lambda c, line, sample: equations.spline_at(c, line, sample))
+solve = njit(lambda system: equations.solve(system))
+raised = njit(lambda a, floor: equations.raised(a, floor))
 out_of_shape = njit(lambda x, e, half, scale: window.out_of_shape(x, e, half, scale))
 
 SIZE, MIDDLE = 400, 200.0
@@ -228,6 +232,41 @@ def test_relief_within_the_window_shows_in_the_sigmas() -> None:
     assert 1.0 / 1.5**2 < ratio < 1.5**2
     flat = match(search, texture(3, line, sample), points, points, SAME)
     assert np.median(found.covariance[:, 1, 1]) > 10.0 * np.median(flat.covariance[:, 1, 1])
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 11), st.booleans())
+def test_the_elimination_is_numpys(seed: int, unknowns: int, zeros: bool) -> None:
+    """Of matrices whose rows differ in size, also with zeros on the diagonal: residuals are rounding."""
+    rng = np.random.default_rng(seed)
+    a, b = rng.standard_normal((unknowns, unknowns)), rng.standard_normal((unknowns, unknowns + 2))
+    if zeros and unknowns > 1:
+        np.fill_diagonal(a, 0.0)
+    a *= 10.0 ** rng.uniform(-3.0, 3.0, unknowns)
+    system = np.hstack([a, b])
+    assert solve(system)
+    x = system[:, unknowns:]
+    assert np.all(np.abs(a @ x - b) < 1e-12 * (np.abs(a) @ np.abs(x) + np.abs(b)).max())
+    assert x == pytest.approx(np.linalg.solve(a, b), rel=1e-12 * np.linalg.cond(a), abs=1e-12 * np.linalg.cond(a))
+
+
+@pytest.mark.parametrize("wrong", [0.0, np.nan])
+def test_a_matrix_with_an_empty_or_missing_column_is_singular(wrong: float) -> None:
+    a = np.random.default_rng(0).standard_normal((8, 8))
+    a[:, 5] = wrong
+    assert not solve(np.hstack([a, np.eye(8)]))
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(-6.0, 6.0), st.floats(-6.0, 6.0), st.floats(-9.0, 3.0))
+def test_a_raised_covariance_is_above_its_floor(seed: int, one: float, other: float, size: float) -> None:
+    """Against the eigenvalues of L^-1 a L^-T, where the floor is L L'."""
+    unit = np.tril(np.random.default_rng(seed).uniform(0.3, 2.0, (2, 2)) * 10.0**size)
+    turn = np.linalg.qr(np.random.default_rng(seed + 1).standard_normal((2, 2)))[0]
+    a = unit @ turn @ np.diag([10.0**one, 10.0**other]) @ turn.T @ unit.T
+    floor = unit @ unit.T
+    got = np.array(raised((a[0, 0], a[0, 1], a[1, 1]), (floor[0, 0], floor[0, 1], floor[1, 1])))[[[0, 1], [1, 2]]]
+    ratios, ways = np.linalg.eigh(np.linalg.solve(unit, np.linalg.solve(unit, a).T))
+    wanted = unit @ ways @ np.diag(np.maximum(ratios, 1.0)) @ ways.T @ unit.T
+    assert got == pytest.approx(wanted, rel=1e-10, abs=1e-10 * max(np.abs(a).max(), np.abs(floor).max()))
 
 
 # ---- what can go wrong

@@ -15,7 +15,7 @@ from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.compiled import cached_kernel, compiled
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.orientation import SUPPORT
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.records import Array, Index, Mask, read_only
 from mgsgraph.kernel.rows import GROUND, IMAGE, PIECE, RANGE, STEREO, SURFACE, Groups, NormalBlocks, shapes
 from mgsgraph.network import Network
 
@@ -263,10 +263,10 @@ def sort_points(
     on_stereo, sides = _on_stereo(n, stereo)
     common = network.common_variables
     for values in (network.points.kinds, moved, on_surface, on_stereo, *(variable for variable, *_ in footprints)):
-        mix_values(signature, values)
+        mix_values(signature, read_only(values))
     if network.common:
-        mix_rows(signature, of_rays[0], of_rays[1], common[0], terms.of_rays, 3)
-        mix_values(signature, common[1])
+        mix_rows(signature, of_rays[0], of_rays[1], read_only(common[0]), terms.of_rays, 3)
+        mix_values(signature, read_only(common[1]))
     example, number = distinct(signature)
     of_example = _PatternObservations(
         network, terms, example, of_rays, of_ranges, moved, on_surface, (on_stereo, sides), footprints, common
@@ -279,7 +279,7 @@ def sort_points(
     order = np.lexsort([np.arange(example.size), group, shape])
     rank = np.empty_like(order)
     rank[order] = np.arange(order.size)
-    point_order, point_index, count = counted(rank[number], order.size)
+    point_order, point_index, count = counted(read_only(rank[number]), order.size)
     pieces = -(-count // PIECE)
     inside = within(pieces)
     of_order, first = _runs(of_example.first, order)

@@ -24,7 +24,7 @@ from mgsgraph.factors.intersection import add_ray, least_eigenvalue, solve_symme
 from mgsgraph.factors.rotation import matrix_quaternion, opk_angles
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.camera import Detector
-from mgsgraph.geometry.compiled_pose import vector
+from mgsgraph.geometry.compiled_pose import rows_of, vector
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.kernel.rows import CAMERA, IMAGE, OPK_PAPER, OPK_PEER, PREDICTED, Model
@@ -317,16 +317,6 @@ def put(data, at, stride, values):
         data[at] = value
         at += stride
     return at
-
-
-@compiled
-def rows_of(matrix):
-    """A matrix (3, 3) as rows."""
-    return (
-        (matrix[0, 0], matrix[0, 1], matrix[0, 2]),
-        (matrix[1, 0], matrix[1, 1], matrix[1, 2]),
-        (matrix[2, 0], matrix[2, 1], matrix[2, 2]),
-    )
 
 
 @compiled

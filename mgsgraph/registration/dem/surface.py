@@ -113,15 +113,6 @@ def _most(given: _Given, first_row: int, last_row: int) -> int:
 
 
 @compiled
-def _empty(n: int) -> _Near:
-    real = np.empty((9, n))
-    return _Near(
-        real[0], real[1], real[2], real[3], real[4], real[5], real[6], real[7], real[8],
-        np.empty(n, dtype=np.int64), np.empty((3, 3)), np.empty(3),
-    )  # fmt: skip
-
-
-@compiled
 def _gather(given: _Given, row: int, column: int, near: _Near) -> int:
     """Fill in the points within reach of a post; their number."""
     n = 0
@@ -181,7 +172,8 @@ def _residuals(near: _Near, n: int) -> float:
 @compiled
 def _robust(near: _Near, n: int) -> bool:
     """The plane by weights `base` where all points agree with it, else by these times Tukey's; whether there is one."""
-    near.w[:n] = near.base[:n]
+    for i in range(n):
+        near.w[i] = near.base[i]
     if not _plane(near, n):
         return False
     if _residuals(near, n) <= _FINE:
@@ -193,7 +185,8 @@ def _robust(near: _Near, n: int) -> bool:
             return False
         _residuals(near, n)
     for _ in range(_TUKEYS):
-        near.spare[:n] = near.left[:n]
+        for i in range(n):
+            near.spare[i] = near.left[i]
         _sort(near.spare, n)
         scale = 1.4826 * near.spare[n // 2]
         for i in range(n):
@@ -336,7 +329,12 @@ def surface(
         Filled; left as it is where there is no height.
     """
     given = _Given(columns, first, points, spread, orientation, pair, reach, window)
-    near = _empty(_most(given, first_row, last_row))
+    most = _most(given, first_row, last_row)
+    real = np.empty((9, most))
+    near = _Near(
+        real[0], real[1], real[2], real[3], real[4], real[5], real[6], real[7], real[8],
+        np.empty(most, dtype=np.int64), np.empty((3, 3)), np.empty(3),
+    )  # fmt: skip
     for row in range(first_row, last_row):
         for column in range(columns):
             n = _gather(given, row, column, near)
