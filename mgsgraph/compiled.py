@@ -190,7 +190,7 @@ def cached_kernel(function: Function, **options: Any) -> Function:
             return found
 
         def _from_disk(self, signature: Any, target: Any) -> Any:
-            """Without numba's tables of all that it can compile, and SciPy, which they import; None if it isn't there."""
+            """None if it is not there; numba's tables of all that it compiles, which import SciPy, stay out."""
             rtsys.initialize(target)
             with self._guard_against_spurious_io_errors():
                 return self._load_overload(signature, target)
