@@ -194,7 +194,6 @@ def cached_kernel(function: Function, **options: Any) -> Function:
             rtsys.initialize(target)
             with self._guard_against_spurious_io_errors():
                 return self._load_overload(signature, target)
-            return None
 
         def save_overload(self, signature: Any, data: Any) -> None:
             try:
