@@ -112,7 +112,7 @@ def word_of_compiling() -> Iterator[None]:
             if finished.wait(_INTERVAL):
                 return
             compiling += _INTERVAL * is_compiling()
-        click.echo("compiling the numeric kernel, once after an installation: one to two minutes", err=True)
+        click.echo("compiling the numeric kernels, once after an installation: about a minute", err=True)
 
     with _watched_by(watch):
         yield
