@@ -238,7 +238,10 @@ def compile_beside(kernel: Any, statement: str) -> None:
     if threads() < 2 or not hasattr(kernel, "signatures") or kernel._cache._cache_file._load_index():
         return
     quiet = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    process = subprocess.Popen([sys.executable, "-c", statement], **quiet)  # type: ignore[call-overload]
+    try:
+        process = subprocess.Popen([sys.executable, "-c", statement], **quiet)  # type: ignore[call-overload]
+    except OSError:  # no file or process more is allowed: then this one compiles it
+        return
 
     def end() -> None:
         process.kill()
