@@ -34,7 +34,7 @@ CEILINGS = {
     "factors": (867, 13743, 18),
     "single files": (946, 10728, 10),
     "scripts": (7002, 112220, 51),
-    "tests": (39135, 589797, 217),
+    "tests": (39142, 589861, 217),
     "docs": (157, 1791, 4),
 }  # fmt: skip
 """Room: lines of code, nodes, files."""

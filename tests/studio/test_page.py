@@ -359,6 +359,15 @@ def test_every_change_by_keys_and_all_of_them_undone(seen: Page, folder: Path, t
     assert [one.verb for one in changes[-6:]] == ["undo"] * 6
 
 
+def test_a_form_stays_where_the_block_is_read_anew(seen: Page, tie: str) -> None:
+    show(seen, tie)
+    press(seen, "Move")
+    seen.tab.wait_for_selector("#point form.placing")
+    seen.run("() => { studio.scene.revision += 1; studio.emit('renewed'); }")
+    seen.tab.wait_for_timeout(500)
+    assert seen.tab.locator("#point form.placing").count() == 1
+
+
 def test_a_measure_more_begins_where_geometry_puts_the_point(seen: Page, folder: Path, tie: str) -> None:
     with open_project(folder) as project:
         state = point_state(project, tie)

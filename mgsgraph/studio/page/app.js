@@ -119,7 +119,7 @@ export class App extends EventTarget {
   async notice() {
     if (!this.scene || this.scene.kind !== 'project' || this.busy) return;
     const {revision, lock} = this.scene, found = await this.request('/api/state').catch(() => null);
-    if (!found || this.busy) return;
+    if (!found || this.busy || this.scene.revision !== revision) return; // older than a change
     this.take(found);
     if (found.job?.state === 'running') this.emit('job');
     if (found.revision === revision && found.lock === lock) return;

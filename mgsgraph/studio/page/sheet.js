@@ -18,7 +18,7 @@ class Sheet {
     this.body = make('div');
     element.replaceChildren(asking, this.body);
     app.hear(element, ['selected', 'changed'], () => this.show());
-    app.hear(element, ['renewed', 'worked'], () => this.drawn !== this.state && this.show());
+    app.hear(element, ['renewed', 'worked'], () => this.drawn !== this.state && !this.body.querySelector('form') && this.show());
     this.show();
   }
 
