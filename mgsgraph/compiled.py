@@ -103,9 +103,7 @@ def make_equations_compilable() -> None:
     """
     from numba.extending import register_jitable
 
-    compilable = register_jitable(
-        forceinline=True, fastmath={"contract", "nsz"}, error_model="numpy", **options_of_parts()
-    )
+    compilable = register_jitable(forceinline=True, fastmath={"contract", "nsz"}, **options_of_parts())
     while _equations:
         compilable(_equations.pop())
 
@@ -114,14 +112,15 @@ def compiled(function: Function) -> Function:
     """Compile a part of a kernel, which compiled code alone calls; division by zero gives inf, as in NumPy."""
     from numba import njit
 
-    return cast(Function, njit(error_model="numpy", **options_of_parts())(function))
+    return cast(Function, njit(**options_of_parts())(function))
 
 
 def options_of_parts() -> dict[str, Any]:
-    """Options of numba for what compiled code alone calls, without entries for Python and C. None makes an array: those
-    that come and go need not be counted (NumPy's runtime in Numba, nrt).
+    """Options of numba for what compiled code alone calls, without entries for Python and C; division by zero gives
+    inf, as in NumPy. None makes an array: those that come and go need not be counted (NumPy's runtime in Numba, nrt).
     """
-    return {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": compiler_of_parts(), "_nrt": False}
+    entries = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    return {"error_model": "numpy", "pipeline_class": compiler_of_parts(), "_nrt": False, **entries}
 
 
 @cache

@@ -51,7 +51,7 @@ from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.kernel.rows import FIXED, NO_LOSS, PRIOR
 from mgsgraph.kernel.sweep import Reduction
-from mgsgraph.kernel.sweep import compile_beside as compile_beside
+from mgsgraph.kernel.sweep import compile_sweep_beside as compile_sweep_beside
 from mgsgraph.network import Network, PointClass
 from mgsgraph.network.corrections import require_supported
 from mgsgraph.workers import no_progress

@@ -83,7 +83,7 @@ def adjust(
     INVALID. Exit status: 0 valid or suspect; 1 invalid: not converged, most of a kind of observations left out, an
     absurd sigma0, orientations beyond 100 prior sigmas (results are written); 2 bad input.
     """
-    from mgsgraph.adjustment.adjust import compile_beside
+    from mgsgraph.adjustment.adjust import compile_sweep_beside
     from mgsgraph.adjustment.cluster.connection import open_cluster
     from mgsgraph.adjustment.cluster.workers import parse_cluster
     from mgsgraph.analysis.verdict import is_valid
@@ -96,7 +96,7 @@ def adjust(
     require_replaceable(out := folder_for(out, case, "adjust"))
     if cluster is not None:
         parse_cluster(cluster, insecure)
-    compile_beside()
+    compile_sweep_beside()
     begin = elapsed()
     with stage("reading"):
         read = read_case(case, overrides.laser, ties)

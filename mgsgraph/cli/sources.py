@@ -70,7 +70,7 @@ def demo(
     --details adds all tables. Registration by relief needs OpenCV (extra "match"), and is left out without it.
     Exit status: 0 valid or suspect, 1 invalid (results are written), 2 bad input.
     """
-    from mgsgraph.adjustment.adjust import compile_beside
+    from mgsgraph.adjustment.adjust import compile_sweep_beside
     from mgsgraph.adjustment.solution import Solution
     from mgsgraph.analysis.verdict import is_valid
     from mgsgraph.case.reading import Case
@@ -86,7 +86,7 @@ def demo(
             return run(case, bar)
 
     options = simulation_options(site, attitude_time_bias, known=DEMONSTRATED)
-    compile_beside()
+    compile_sweep_beside()
     with fresh_folder(out, DEMO) as folder, stage_bar(len(STAGES)) as stages:
         solution, tables, sentences = write_demo(
             site, folder, seed, options, adjusting, stages, not no_figures, not no_relief

@@ -274,20 +274,18 @@ if _config.DISABLE_JIT:  # plain Python, to look at or to count: arrays are what
             sink[index + k * step : index + k * step + FOUR] = [array[row + k] for row in (a, b, c, d)]
 
 
-_INSIDE: dict[str, Any] = {"error_model": "numpy", **options_of_parts()}
-
-lane = njit(fastmath={"contract", "nsz"}, **_INSIDE)
+lane = njit(fastmath={"contract", "nsz"}, **options_of_parts())
 """Compile a function over lanes: division by zero gives inf, as in NumPy; products and sums may be fused.
 
 Not cached: the sweep is, with everything in it.
 """
 
-inlined = njit(fastmath={"contract", "nsz"}, forceinline=True, **_INSIDE)
+inlined = njit(fastmath={"contract", "nsz"}, forceinline=True, **options_of_parts())
 """The same for what is taken in by its caller: what is called lane by lane; and what is given all rows, whose arrays a
 call copies to the stack, below the stages of a tile.
 """
 
-summing = njit(fastmath={"contract", "nsz", "reassoc"}, **_INSIDE)
+summing = njit(fastmath={"contract", "nsz", "reassoc"}, **options_of_parts())
 """The same for sums over lanes, whose order is free."""
 
 STATE_WIDTH = 9

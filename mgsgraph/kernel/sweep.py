@@ -16,8 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph import compiled
-from mgsgraph.compiled import cached_kernel, threads
+from mgsgraph.compiled import cached_kernel, compile_beside, threads
 from mgsgraph.kernel.covariance import NUMBERS, covariance_tile, reliability_tile
 from mgsgraph.kernel.elimination import eliminate_tile, move_basis, solve_tile
 from mgsgraph.kernel.lanes import (
@@ -224,9 +223,9 @@ def sweep(
             design_tile(rows, model, segments, count, w, depth, values)
 
 
-def compile_beside() -> None:
+def compile_sweep_beside() -> None:
     """Let another process compile the sweep, if it is not cached, which takes most of a minute."""
-    compiled.compile_beside(sweep, f"from {__name__} import compile_sweep; compile_sweep()")
+    compile_beside(sweep, f"from {__name__} import compile_sweep; compile_sweep()")
 
 
 def compile_sweep() -> None:
