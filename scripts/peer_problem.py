@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
 from mgsgraph.adjustment.settings import Line, SolverSettings
@@ -30,7 +29,6 @@ from mgsgraph.geometry.camera import InteriorOrientation, NoDistortion
 from mgsgraph.geometry.image import LineTiming, PolynomialTrajectory, PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array, Index, assign, frozen, frozen_index
-from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, Ranges
 from mgsgraph.units import MM
 
@@ -256,16 +254,7 @@ class PeerTrajectory(PolynomialTrajectory):
     """Polynomials of omega, phi, kappa in the peer's product: M = R3 R2 R1 takes body-fixed to camera, not back."""
 
     __slots__ = ()
-
-    def pose(self, times: Array) -> Pose:
-        """Pose at times (n,) in s past the epoch, rates per second."""
-        rate = 2.0 / (self.stop - self.start)
-        s = rate * (times - self.start) - 1.0
-        parts = (self.position, polynomial.polyder(self.position), self.angles, polynomial.polyder(self.angles))
-        position, velocity, angles, angular_rate = (np.asarray(polynomial.polyval(s, part).T, float) for part in parts)
-        axes = rotation.angle_axes(angles, camera_to_body=False)
-        matrix = np.swapaxes(rotation.from_omega_phi_kappa(angles), 1, 2)
-        return Pose(position, rate * velocity, matrix, rate * np.einsum("nij,nj->ni", axes, angular_rate))
+    paper = False
 
 
 def network(problem: PeerProblem, line: Line) -> tuple[Network, SolverSettings]:

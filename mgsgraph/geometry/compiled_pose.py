@@ -4,7 +4,14 @@ from mgsgraph.compiled import cached_kernel, compiled, make_equations_compilable
 from mgsgraph.factors.algebra import add, cross, product, scale, subtract, transform, transpose
 from mgsgraph.factors.interpolation import hermite
 from mgsgraph.factors.pose import about_axes
-from mgsgraph.factors.rotation import matrix_quaternion, opk_paper_axes, opk_rotation, quaternion_matrix, rotation
+from mgsgraph.factors.rotation import (
+    matrix_quaternion,
+    opk_paper_axes,
+    opk_peer_axes,
+    opk_rotation,
+    quaternion_matrix,
+    rotation,
+)
 
 make_equations_compilable()
 
@@ -127,15 +134,18 @@ def sampled_poses(times, position_table, camera_table, body_table, position, vel
 
 
 @cached_kernel
-def polynomial_poses(s, rate, places, angles, position, velocity, matrix, angular_rate):
-    """Poses of polynomials in X, Y, Z and in omega, phi, kappa at s (n,); `rate` is ds/dt."""
+def polynomial_poses(s, rate, paper, places, angles, position, velocity, matrix, angular_rate):
+    """Poses of polynomials in X, Y, Z and in omega, phi, kappa at s (n,); `rate` is ds/dt. The product R3 R2 R1 takes
+    camera to body where `paper`, else body to camera.
+    """
     for i in range(s.size):
         place, motion = polynomial_at(places, s[i])
         opk, opk_rate = polynomial_at(angles, s[i])
-        attitude = transpose(opk_rotation(opk))
+        turned, axes = opk_rotation(opk), opk_paper_axes(opk) if paper else opk_peer_axes(opk)
+        attitude = transpose(turned) if paper else turned
         set_vector(position, i, place)
         set_vector(velocity, i, scale(rate, motion))
-        set_vector(angular_rate, i, scale(rate, transform(opk_paper_axes(opk), opk_rate)))
+        set_vector(angular_rate, i, scale(rate, transform(axes, opk_rate)))
         for j in range(3):
             set_vector(matrix[i], j, attitude[j])
 

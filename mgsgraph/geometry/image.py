@@ -10,7 +10,7 @@ J2000, fitted to the records of its attitude table (ISIS SpiceRotation::SetPolyn
 """
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, ClassVar, Protocol
 
 import numpy as np
 
@@ -344,6 +344,8 @@ class PolynomialTrajectory:
     """(order + 1, 3) rad, omega, phi, kappa as in `rotation.omega_phi_kappa`; row k belongs to s^k."""
     spin: Array | None = None
     """(3,) rad/s, angular velocity of the body against inertial space, in body-fixed axes; None where unknown."""
+    paper: ClassVar[bool] = True
+    """Whether R3(kappa) R2(phi) R1(omega) takes camera to body, as in the papers; else body to camera."""
 
     def __post_init__(self) -> None:
         where = "polynomial trajectory"
@@ -379,7 +381,7 @@ class PolynomialTrajectory:
 
         pose = Pose(np.empty((s.size, 3)), np.empty((s.size, 3)), np.empty((s.size, 3, 3)), np.empty((s.size, 3)))
         where = pose.position, pose.velocity, pose.matrix, pose.angular_rate
-        polynomial_poses(s, rate, self.position, self.angles, *where)
+        polynomial_poses(s, rate, self.paper, self.position, self.angles, *where)
         return pose
 
 

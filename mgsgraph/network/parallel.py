@@ -19,12 +19,15 @@ def parallel(network: Network, angles: Array) -> Mask:
     anywhere between the camera and far below the ground; the equations, linear in the distance, have no meaning there.
     Two nadir images of one ground track are like that.
     """
-    rays, free = network.rays, _held_by_rays(network)
-    unsure = np.array([_pointing(network, j) for j in range(len(network.images))])[rays.image]
-    pixel = np.array([image.pixel_angle for image in network.images])[rays.image]
-    sigma = np.zeros(free.size)
-    np.maximum.at(sigma, rays.point, np.hypot(unsure, pixel * network.ray_sigmas.max(axis=1)))
-    return np.asarray(free & (angles < np.minimum(_TIMES * np.sqrt(2.0) * sigma, _MOST)))
+    rays, suspect = network.rays, _held_by_rays(network) & (angles < _MOST)
+    rows = np.flatnonzero(suspect[rays.point])
+    if rows.size == 0:
+        return suspect
+    unsure = np.array([_pointing(network, j) for j in range(len(network.images))])[rays.image[rows]]
+    pixel = np.array([image.pixel_angle for image in network.images])[rays.image[rows]]
+    sigma = np.zeros(suspect.size)
+    np.maximum.at(sigma, rays.point[rows], np.hypot(unsure, pixel * network.ray_sigmas[rows].max(axis=1)))
+    return np.asarray(suspect & (angles < _TIMES * np.sqrt(2.0) * sigma))
 
 
 def nearly_parallel(network: Network, points: Index) -> Mask:

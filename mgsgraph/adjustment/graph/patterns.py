@@ -14,7 +14,7 @@ from mgsgraph.adjustment.graph.variables import Variables
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.compiled import cached_kernel, compiled
 from mgsgraph.files.networks.tie_points import PointKind
-from mgsgraph.geometry.orientation import SUPPORT
+from mgsgraph.geometry.orientation import SUPPORT, Moments
 from mgsgraph.geometry.records import Array, Index, Mask, read_only
 from mgsgraph.kernel.rows import GROUND, IMAGE, PIECE, RANGE, STEREO, SURFACE, Groups, NormalBlocks, shapes
 from mgsgraph.network import Network
@@ -121,11 +121,11 @@ class Terms:
         """(n,) variable of the first node of each image's pass; without meaning for one without a pass."""
         return self._first_of_passes[self._pass[images]]
 
-    def basis(self, image: int, lines: Array, node: NDArray[np.int32], rates: bool) -> tuple[Array, Array]:
-        """Stored values of the basis at lines (n,): u (n, 1) of a polynomial, or values (n, terms) of nodes and, if
+    def basis(self, image: int, moments: Moments, node: NDArray[np.int32], rates: bool) -> tuple[Array, Array]:
+        """Stored values of the basis at n moments: u (n, 1) of a polynomial, or values (n, terms) of nodes and, if
         `rates`, their derivatives per line; the other one has no columns. `node` (n,) is `of_rays` or `of_ranges`.
         """
-        empty, moments = np.empty((lines.size, 0)), self._network.images[image].moments(lines)
+        empty = np.empty((moments.u.size, 0))
         if self._pass[image] < 0:
             return (moments.u[:, None] if self.counts[image] else empty), empty
         nodes = self._network.passes[self._pass[image]].nodes

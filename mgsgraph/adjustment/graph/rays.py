@@ -1,9 +1,5 @@
-"""Constants of the image rays, share by share of neighboring pieces: laid out once, and renewed in place where the
-lines about which they are laid out change. Intersections of points' nominal rays.
-
-Loops over rays take those of some neighboring pieces, observation by observation as they lie in the data: of each of
-these r rays there is its number in the network, where its constants begin, the step to the next one, and its place
-among all observations.
+"""Constants of the image rays, image by image: laid out once, and renewed in place where the lines about which they are
+laid out change. Intersections of points' nominal rays.
 """
 
 import pickle
@@ -15,16 +11,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.adjustment.graph.patterns import Patterns, Terms
+from mgsgraph.adjustment.graph.patterns import Patterns, Terms, counted
 from mgsgraph.adjustment.graph.variables import Variables, angles_of
 from mgsgraph.compiled import cached_kernel, compiled, in_threads, make_equations_compilable
 from mgsgraph.factors.algebra import add, dot, scale, subtract, transform, transpose
 from mgsgraph.factors.collinearity import image_motion, ray_motion, to_lines_and_samples
 from mgsgraph.factors.intersection import add_ray, least_eigenvalue, solve_symmetric
-from mgsgraph.factors.rotation import matrix_quaternion, opk_angles
+from mgsgraph.factors.rotation import matrix_quaternion, opk_angles, opk_rotation, quaternion_matrix
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.camera import Detector
-from mgsgraph.geometry.compiled_pose import rows_of, vector
+from mgsgraph.geometry.compiled_pose import rows_of, set_vector, vector
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.kernel.rows import CAMERA, IMAGE, OPK_PAPER, OPK_PEER, PREDICTED, Model
@@ -32,35 +28,9 @@ from mgsgraph.network import Network
 from mgsgraph.network.effects import SharedEffects, common_looks
 
 _SHARE = 1 << 16
-"""Observations that a thread takes at a time."""
-_NO_UNITS = np.empty((0, 3))
-"""Empty array where no directions are needed."""
-
-
-class Share(NamedTuple):
-    """The r rays of some neighbouring pieces, in the order of their observations."""
-
-    first: int
-    """Piece."""
-    last: int
-    """Piece after the last one."""
-    ray: NDArray[np.int32]
-    """(r,) ray."""
-    at: Index
-    """(r,) where its constants begin in the data."""
-    stride: Index
-    """(r,) step to the next one."""
-    place: Index
-    """(r,) among all observations."""
-    image: Index
-    """(r,) whose it is."""
-
-    def by(self, number: Index) -> Iterator[tuple[int, Index]]:
-        """Which rays have the same `number` (r,)."""
-        order = np.argsort(number, kind="stable")
-        edges = np.flatnonzero(np.diff(number[order], prepend=-1, append=-1)).tolist()
-        for a, b in pairwise(edges):
-            yield int(number[order[a]]), order[a:b]
+"""Rays that a thread takes at a time."""
+_Rays = NDArray[np.int32]
+"""(m,) numbers of rays in the network; int32, since there are many."""
 
 
 class Crossing(NamedTuple):
@@ -96,50 +66,53 @@ class RayConstants:
         self._network, self._model, self._patterns, self._variables = network, model, patterns, variables
         self.effects, looks = SharedEffects(network, angles_of(model)), common_looks(network)
         self._looks = [np.empty((1, 2, 0)), *(look for _, look in looks)]
-        self._of_look = np.zeros((2, network.rays.point.size), dtype=np.int64)
-        """(2, k) table and row of each ray's looks by errors in common."""
+        self._of_look = np.zeros((2, network.rays.point.size if looks else 0), dtype=np.int64)
+        """(2, k) table and row of each ray's looks by errors in common; empty where there are none."""
         for number, (members, _) in enumerate(looks, 1):
             self._of_look[:, members] = np.full(members.size, number), np.arange(members.size)
-        rays = np.concatenate([[0], np.cumsum(patterns.kind == IMAGE)])
-        begins = np.append(piece[:, 4], int(piece[:, 2] @ np.diff(patterns.first)[piece[:, 0]]))
+        order, _, sizes = counted(network.rays.image, len(network.images))
+        self._by_image, self._ends = order.astype(np.int32), [0, *np.cumsum(sizes).tolist()]
+        """(k,) rays in the order of their images, and where those of each begin."""
         piece_of = np.repeat(np.arange(piece.shape[0], dtype=np.int32), piece[:, 2])
-        self.among, ray = np.empty(slot.size, dtype=np.int32), np.empty(begins[-1], dtype=np.int32)
+        self.among = np.empty(slot.size, dtype=np.int32)
         """(k,) place of each ray among all observations; int32, for there are many."""
-        places_of_rays(network.rays.point, slot, patterns.point_index, piece_of, piece, self.among, ray)
-        counts = np.diff(rays[patterns.first])
-        self._piece, self._before, self._begins, self._rays, self._ray = piece, before, begins, counts, ray
+        self._table = network.rays.point, patterns.point_index, piece_of, piece, before, self.among
+        """What `place_of` takes."""
+        places_of_rays(slot, self._table)
 
-    def fill(self, data: Array, weight: Array, terms: Terms, bending: Array, crossing: Crossing | None) -> None:
+    def fill(
+        self, data: Array, weight: Array, terms: Terms, bending: Array, crossing: Crossing | None, focal: Array
+    ) -> None:
         """Constants (but for the scale of the measured-line form, `fill_scales`) and weights of all rays, and where
-        they cross; slopes of detector lines with shared unknowns `bending` (columns,).
+        they cross; slopes of detector lines with shared unknowns `bending` (columns,). `focal` (s,) m are focal
+        lengths of the patterns' observations.
         """
-        values, self._nodes = self._variables.split(bending), terms.of_rays if self._network.passes else None
+        self._nodes = terms.of_rays if self._network.passes else None
+        edges = [*range(0, self._by_image.size, _SHARE), self._by_image.size]
+        in_threads(lambda ends: self._fill_detectors(*ends, data, weight), list(pairwise(edges)))
+        self._fill_poses(data, terms, bending, True)
+        if crossing is not None:
+            self._cross(data, crossing, focal)
 
-        def fill(share: Share) -> None:
-            self._fill_detectors(share, data, weight)
-            units = _NO_UNITS if crossing is None else np.empty((share.ray.size, 3))
-            self._fill_poses(share, data, terms, values, units, True)
-            if crossing is not None:
-                ways = self._piece, self._before, self._rays, self._patterns.point_order
-                crossings(share.first, share.last, *ways, data, units, *crossing)
+    def _cross(self, data: Array, crossing: Crossing, focal: Array) -> None:
+        """Where rays cross, share by share of neighboring pieces."""
+        _, _, _, piece, before, _ = self._table
+        kinds = np.concatenate([[0], np.cumsum(self._patterns.kind == IMAGE)])
+        rays = np.diff(kinds[self._patterns.first])
+        patterns = piece, before, self._patterns.first, rays, focal
+        many = np.cumsum(piece[:, 2] * rays[piece[:, 0]])
+        edges = np.unique([0, *np.searchsorted(many, range(_SHARE, int(many[-1]), _SHARE)), many.size]).tolist()
+        angles, order = self._model.angles, self._patterns.point_order
+        in_threads(lambda ends: crossings(*ends, angles, patterns, order, data, *crossing), list(pairwise(edges)))
 
-        self._each(fill)
-
-    def _each(self, work: Callable[[Share], None]) -> None:
-        """Call a function for all rays, in threads."""
-        total = int(self._begins[-1])
-        edges = np.unique(np.searchsorted(self._begins, [*range(0, total, _SHARE), total])).tolist()
-        in_threads(lambda ends: work(self._share(*ends)), list(pairwise(edges)))
-
-    def _share(self, first: int, last: int) -> Share:
-        most = int(self._begins[last] - self._begins[first])
-        ray = np.empty(most, dtype=np.int32)
-        at, stride, place, image = (np.empty(most, dtype=np.int64) for _ in range(4))
-        count = rays_inside(
-            first, last, self._piece, self._before, self._patterns.first, self._rays, self._patterns.image, self._ray,
-            ray, at, stride, place, image,
-        )  # fmt: skip
-        return Share(first, last, ray[:count], at[:count], stride[:count], place[:count], image[:count])
+    def _each(self, work: Callable[[int, _Rays], None]) -> None:
+        """Call a function for each image and some of its rays, in threads."""
+        of_images = (
+            (j, self._by_image[at : min(at + _SHARE, last)])
+            for j, (first, last) in enumerate(pairwise(self._ends))
+            for at in range(first, last, _SHARE)
+        )
+        in_threads(lambda one: work(*one), of_images)
 
     def renewable(self, terms: Terms) -> bool:
         """Whether rays about other lines depend on the same nodes as those that were laid out."""
@@ -147,21 +120,19 @@ class RayConstants:
 
     def renew(self, data: Array, terms: Terms, bending: Array) -> None:
         """The same constants about other lines, in place; they depend on the same nodes as before. Strict form."""
-        values = self._variables.split(bending)
-        self._each(lambda share: self._fill_poses(share, data, terms, values, _NO_UNITS, False))
+        self._fill_poses(data, terms, bending, False)
 
     def fill_scales(self, data: Array, starts: Array) -> None:
         """The scale of the measured-line form, from the image motion of points at their starting positions (n, 3)."""
         rays, first = self._network.rays, 5 + (4 if self._model.angles == CAMERA else 3)
 
-        def rescale(share: Share) -> None:
-            for j, chosen in share.by(share.image):
-                image, axes, k = self._network.images[j], self._axes[j], share.ray[chosen]
-                focal_length = image.interior.focal_length
-                pose = image.pose(rays.places[k, 0]).in_axes(axes)
-                detector = Detector(*image.interior.focal_plane(rays.places[k, 1])).in_axes(axes, focal_length)
-                scale = frozen_scale(pose, focal_length, starts[rays.point[k]], detector.slope)
-                store_scale(chosen, share.at, share.stride, first, scale.reshape(-1, 4), data)
+        def rescale(j: int, k: _Rays) -> None:
+            image, axes = self._network.images[j], self._axes[j]
+            focal_length = image.interior.focal_length
+            pose = image.pose(rays.places[k, 0]).in_axes(axes)
+            detector = Detector(*image.interior.focal_plane(rays.places[k, 1])).in_axes(axes, focal_length)
+            scale = frozen_scale(pose, focal_length, starts[rays.point[k]], detector.slope)
+            store_scale(k, self._table, first, scale.reshape(-1, 4), data)
 
         self._each(rescale)
 
@@ -184,52 +155,66 @@ class RayConstants:
         )
         return np.array([numbers.setdefault(key, len(numbers)) for key in keys], dtype=np.int64)
 
-    def _fill_detectors(self, share: Share, data: Array, weight: Array) -> None:
+    def _fill_detectors(self, begin: int, end: int, data: Array, weight: Array) -> None:
+        """Detector pixels, their slopes and weights of the rays begin .. end - 1."""
         rays, strict = self._network.rays, self._model.line == PREDICTED
         first = 3 + (4 if self._model.angles == CAMERA else 3)
-        for _, chosen in share.by(self._optics[share.image]):
-            j = int(share.image[chosen[0]])
+        for _, chosen in parts(self._optics[rays.image[begin:end]]):
+            k = (begin + chosen).astype(np.int32)
+            j = int(rays.image[k[0]])
             interior = self._network.images[j].interior
-            detector = Detector(*interior.focal_plane(rays.places[share.ray[chosen], 1]))
+            detector = Detector(*interior.focal_plane(rays.places[k, 1]))
             detector = detector.in_axes(self._axes[j], interior.focal_length)
-            store_detectors(
-                chosen, share.ray, share.at, share.stride, share.place, rays.sigmas, first, strict, *detector, data,
-                weight,
-            )
+            store_detectors(k, self._table, rays.sigmas, first, strict, *detector, data, weight)
 
-    def _fill_poses(
-        self, share: Share, data: Array, terms: Terms, values: Sequence[Array], units: Array, with_scale: bool
-    ) -> None:
-        several = len(self._looks)
-        for number, chosen in share.by(share.image * several + self._of_look[0, share.ray]):
-            self._fill_image(*divmod(number, several), chosen, share, data, terms, values, units, with_scale)
+    def _fill_poses(self, data: Array, terms: Terms, bending: Array, with_scale: bool) -> None:
+        values = self._variables.split(bending)
+
+        def fill(j: int, rays: _Rays) -> None:
+            if not self._of_look.size:
+                self._fill_image(j, rays, self._looks[0], data, terms, values, with_scale)
+                return
+            for number, chosen in parts(self._of_look[0, rays]):
+                common = self._looks[number][self._of_look[1, rays[chosen]]]
+                self._fill_image(j, rays[chosen], common, data, terms, values, with_scale)
+
+        self._each(fill)
 
     def _fill_image(
-        self, j: int, look: int, chosen: Index, share: Share, data: Array, terms: Terms, values: Sequence[Array],
-        units: Array, with_scale: bool,
-    ) -> None:  # fmt: skip
-        """Poses of the `chosen` rays of an image, which have errors in common by as many factors."""
+        self, j: int, k: _Rays, common: Array, data: Array, terms: Terms, values: Sequence[Array], with_scale: bool
+    ) -> None:
+        """Poses of the rays `k` of an image, whose looks by errors in common are `common`, by as many factors each."""
         rays, model, axes, image = self._network.rays, self._model, self._axes[j], self._network.images[j]
-        k, predicted, focal_length = share.ray[chosen], model.line == PREDICTED, image.interior.focal_length
+        predicted, focal_length = model.line == PREDICTED, image.interior.focal_length
         lines, samples = terms.lines[k], rays.places[k, 1]
-        pose, empty = image.pose(lines).in_axes(axes), np.empty((chosen.size, 0))
+        moments = image.moments(lines)
+        pose = image.trajectory.pose(moments.times).scaled(moments.periods).in_axes(axes)
         angular_rate = angle_rates(pose, model.angles) if predicted and model.angles != CAMERA else pose.angular_rate
         if predicted:
-            angular_rate = angular_rate + self.effects.turning(j, image.normalised(lines), values)
-        slope, scale = empty, empty
+            angular_rate = angular_rate + self.effects.turning(j, moments.u, values)
+        slope = scale = np.empty((k.size, 0))
         if self.effects.bends(j):
             slope = self.effects.slopes(j, samples, values)
         if with_scale and model.angles == OPK_PEER and not predicted:
             detector = Detector(*image.interior.focal_plane(samples)).in_axes(axes, focal_length)
             scale = peer_scale(slope if slope.size else detector.slope)
-        common = self._looks[look][self._of_look[1, k]]
-        effects = self.effects.of_rays(j, image.normalised(lines), samples, common)
-        tail = [*terms.basis(j, lines, terms.of_rays[k], predicted), effects.reshape(chosen.size, -1)]
+        effects = self.effects.of_rays(j, moments.u, samples, common)
+        tail = [*terms.basis(j, moments, terms.of_rays[k], predicted), effects.reshape(k.size, -1)]
         store_poses(
-            chosen, share.at, share.stride, model.angles, predicted,
-            (pose.position, pose.matrix, pose.velocity, angular_rate), focal_length, scale, slope,
-            lines - rays.places[k, 0], np.hstack(tail), data, units,
+            k, self._table, model.angles, predicted, (pose.position, pose.matrix, pose.velocity, angular_rate), scale,
+            slope, lines - rays.places[k, 0], np.hstack(tail), data,
         )  # fmt: skip
+
+
+def parts(numbers: Index) -> Iterator[tuple[int, Index]]:
+    """Which of some rays have the same number (r,)."""
+    if numbers.size and numbers.min() == numbers.max():
+        yield int(numbers[0]), np.arange(numbers.size)
+        return
+    order = np.argsort(numbers, kind="stable")
+    edges = np.flatnonzero(np.diff(numbers[order], prepend=-1, append=-1)).tolist()
+    for a, b in pairwise(edges):
+        yield int(numbers[order[a]]), order[a:b]
 
 
 def angle_rates(pose: Pose, angles: int) -> Array:
@@ -256,7 +241,7 @@ def frozen_scale(pose: Pose, focal_length: float, points: Array, slope: Array) -
     return np.stack([np.stack(row, axis=1) for row in to_lines_and_samples(motion, tuple(slope.T))], axis=1)
 
 
-# --- compiled: those take the rays of some neighboring pieces, observation by observation as they lie in the data
+# --- compiled
 
 make_equations_compilable()
 
@@ -279,35 +264,27 @@ def followed(lines, measured, residuals, among, kind, point, point_index, image,
 
 
 @cached_kernel
-def places_of_rays(point, slot, point_index, piece_of, piece, among, ray):
-    """Place (k,) of each network ray among all t observations, and the inverse: `ray` (t,), -1 for other ones."""
-    ray[:] = -1
+def places_of_rays(slot, table):
+    """Place of each ray among all observations, the last of `table`, from its index (k,) among its point's."""
+    point, point_index, piece_of, piece, _, among = table
     for k in range(point.size):
         index = point_index[point[k]]
         p = piece_of[index]
         among[k] = piece[p, 4] + slot[k] * piece[p, 2] + index - piece[p, 1]
-        ray[among[k]] = k
 
 
-@cached_kernel
-def rays_inside(first, last, piece, before, observation, rays, image, ray, network_ray, at, stride, place, of_image):
-    """The rays of the pieces first .. last - 1, their number returned.
+@compiled
+def place_of(k, table):
+    """Where the constants of ray k begin in the data, and the step to the next one.
 
-    `observation` (q + 1,) is each pattern's first one, `rays` (q,) how many of them, the first ones, are image rays,
-    `image` (s,) whose they are, `ray` (t,) as of `places_of_rays`. Filled are (r,) arrays: network ray, where its
-    constants begin, step, place among all observations, image.
+    `table` holds the points of all rays (k,), the points' places in the layout (n,), the pieces (n,) of these, `piece`
+    and `before` as of `rows.lay_out_rows`, and places (k,) among all observations.
     """
-    count = 0
-    for p in range(first, last):
-        pattern, size = piece[p, 0], piece[p, 2]
-        for s in range(rays[pattern]):
-            for inside in range(size):
-                index = piece[p, 4] + s * size + inside
-                network_ray[count], place[count] = ray[index], index
-                at[count], stride[count] = piece[p, 3] + size * before[pattern, s] + inside, size
-                of_image[count] = image[observation[pattern] + s]
-                count += 1
-    return count
+    point, point_index, piece_of, piece, before, among = table
+    p = piece_of[point_index[point[k]]]
+    size, rest = piece[p, 2], among[k] - piece[p, 4]
+    slot = rest // size
+    return piece[p, 3] + size * before[piece[p, 0], slot] + rest - slot * size, size
 
 
 @compiled
@@ -319,50 +296,39 @@ def put(data, at, stride, values):
     return at
 
 
-@compiled
-def store_look(attitude, data, at, stride, focal, units, c):
-    """The unit direction of a ray whose detector pixel is at `at` in the data."""
-    look = transform(transpose(attitude), (data[at], data[at + stride], focal))
-    units[c, 0], units[c, 1], units[c, 2] = scale(1.0 / np.sqrt(dot(look, look)), look)
-
-
 @cached_kernel
-def store_detectors(chosen, ray, at, stride, place, sigmas, first, predicted, detector, slope, data, weight):
-    """Detector pixels (m, 2) of the `chosen` rays (m,), component `first` of each, their slopes in the strict form, and
-    the weights.
+def store_detectors(rays, table, sigmas, first, predicted, detector, slope, data, weight):
+    """Detector pixels (m, 2) of some `rays` (m,), component `first` of each, their slopes in the strict form, and the
+    weights. `table` is as of `place_of`.
     """
-    for r in range(chosen.size):
-        c = chosen[r]
-        k, index = ray[c], place[c]
+    for r in range(rays.size):
+        k, index = rays[r], table[5][rays[r]]
         weight[0, index], weight[1, index] = 1.0 / sigmas[k, 0], 1.0 / sigmas[k, 1]
-        begin = at[c] + first * stride[c]
-        begin = put(data, begin, stride[c], (detector[r, 0], detector[r, 1]))
+        at, step = place_of(k, table)
+        begin = put(data, at + first * step, step, (detector[r, 0], detector[r, 1]))
         if predicted:
-            put(data, begin + 6 * stride[c], stride[c], (slope[r, 0], slope[r, 1]))
+            put(data, begin + 6 * step, step, (slope[r, 0], slope[r, 1]))
 
 
 @cached_kernel
-def store_poses(chosen, at, stride, angles, predicted, pose, focal, scales, slope, offset, tail, data, units):
-    """Constants of one image's `chosen` rays (m,) that follow from their lines, in the order in which
-    `kernel.tile.load_observation` takes them.
+def store_poses(rays, table, angles, predicted, pose, scales, slope, offset, tail, data):
+    """Constants of some `rays` (m,) of one image that follow from their lines, in the order in which
+    `kernel.tile.load_observation` takes them. `table` is as of `place_of`.
 
     `pose` is (positions, matrices, velocities, angular rates or rates of the angles), `scales` (m, 4 or 0) S of the
     measured-line form where it is known already, `slope` (m, 2 or 0) that of the detector line where it isn't stored
     yet, `offset` (m,) lines from the measured line, `tail` (m, c) the last values: the line u of a polynomial, or
-    values and rates of nodes, then directions. `units` (r, 3) are filled with unit directions unless empty.
+    values and rates of nodes, then directions.
     """
     position, matrix, velocity, angular_rate = pose
-    for r in range(chosen.size):
-        c = chosen[r]
-        step = stride[c]
-        begin = put(data, at[c], step, vector(position, r))
+    for r in range(rays.size):
+        begin, step = place_of(rays[r], table)
+        begin = put(data, begin, step, vector(position, r))
         attitude = rows_of(matrix[r])
         if angles == CAMERA:
             begin = put(data, begin, step, matrix_quaternion(attitude))
         else:
             begin = put(data, begin, step, opk_angles(transpose(attitude) if angles == OPK_PAPER else attitude))
-        if units.shape[0] > 0:
-            store_look(attitude, data, begin, step, focal, units, c)
         begin += 2 * step
         if predicted:
             begin = put(data, begin, step, vector(velocity, r))
@@ -381,11 +347,12 @@ def store_poses(chosen, at, stride, angles, predicted, pose, focal, scales, slop
 
 
 @cached_kernel
-def store_scale(chosen, at, stride, first, values, data):
-    """The scale (m, 4) of the measured-line form, component `first` of each of the `chosen` rays (m,)."""
-    for r in range(chosen.size):
+def store_scale(rays, table, first, values, data):
+    """The scale (m, 4) of the measured-line form, component `first` of each of some `rays` (m,)."""
+    for r in range(rays.size):
+        at, step = place_of(rays[r], table)
         for a in range(4):
-            data[at[chosen[r]] + (first + a) * stride[chosen[r]]] = values[r, a]
+            data[at + (first + a) * step] = values[r, a]
 
 
 @compiled
@@ -394,30 +361,45 @@ def origin_of(data, at, stride):
     return data[at], data[at + stride], data[at + 2 * stride]
 
 
+@compiled
+def look_of(data, at, stride, angles, focal):
+    """Unit direction, body-fixed, of a nominal ray whose constants begin at `at`."""
+    if angles == CAMERA:
+        q = data[at + 3 * stride], data[at + 4 * stride], data[at + 5 * stride], data[at + 6 * stride]
+        attitude, at = quaternion_matrix(q), at + 7 * stride
+    else:
+        product = opk_rotation((data[at + 3 * stride], data[at + 4 * stride], data[at + 5 * stride]))
+        attitude, at = transpose(product) if angles == OPK_PAPER else product, at + 6 * stride
+    look = transform(transpose(attitude), (data[at], data[at + stride], focal))
+    return scale(1.0 / np.sqrt(dot(look, look)), look)
+
+
 @cached_kernel
-def crossings(first, last, piece, before, rays, point_order, data, units, wanted, positions, angles):
+def crossings(first, last, angles, patterns, point_order, data, wanted, positions, apart):
     """Intersections of the nominal rays of points, and the angles between the rays.
 
     Parameters
     ----------
     first, last
         Pieces first .. last - 1.
-    piece, before, rays
-        As of `rays_inside`.
+    angles
+        As of `Model`.
+    patterns
+        `piece` and `before` as of `rows.lay_out_rows`, first observation of each pattern (q + 1,), how many of them,
+        the first ones, are image rays (q,), and focal lengths (s,) in m.
     point_order : (n,)
         Network point at each index of the layout.
     data
-        With the origins of the rays.
-    units : (r, 3)
-        Directions of the rays, body-fixed.
+        With origins, attitudes and detector pixels of the rays.
     wanted : (n,)
         Points whose position is asked for.
     positions : (n, 3)
         m: filled for these, unless the rays are closer to parallel than 2e-7 rad or meet behind a camera.
-    angles : (n,)
+    apart : (n,)
         rad between the outermost rays, about: filled for all; zero for fewer than two.
     """
-    begin = 0
+    piece, before, observation, rays, focal = patterns
+    units = np.empty((before.shape[1], 3))
     for p in range(first, last):
         pattern, size = piece[p, 0], piece[p, 2]
         count = rays[pattern]
@@ -425,18 +407,19 @@ def crossings(first, last, piece, before, rays, point_order, data, units, wanted
             i, start, origin = point_order[piece[p, 1] + inside], piece[p, 3] + inside, (0.0, 0.0, 0.0)
             normal, right = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
             for s in range(count):
-                centre = origin_of(data, start + size * before[pattern, s], size)
+                at = start + size * before[pattern, s]
+                centre = origin_of(data, at, size)
                 origin = centre if s == 0 else origin
-                look = vector(units, begin + s * size + inside)
+                look = look_of(data, at, size, angles, focal[observation[pattern] + s])
+                set_vector(units, s, look)
                 normal, right = add_ray(normal, right, subtract(centre, origin), look)
             weakest = least_eigenvalue(normal) / count if count >= 2 else 0.0
-            angles[i] = 2.0 * np.arcsin(np.sqrt(min(max(weakest, 0.0), 1.0)))
+            apart[i] = 2.0 * np.arcsin(np.sqrt(min(max(weakest, 0.0), 1.0)))
             if wanted[i]:
                 point = solve_symmetric(normal, right)
                 usable = weakest > 1e-14
                 for s in range(count if usable else 0):  # rays that part meet behind their cameras
                     ahead = subtract(add(point, origin), origin_of(data, start + size * before[pattern, s], size))
-                    usable &= dot(ahead, vector(units, begin + s * size + inside)) > 0.0
+                    usable &= dot(ahead, vector(units, s)) > 0.0
                 for a in range(3):
                     positions[i, a] = point[a] + origin[a] if usable else positions[i, a]
-        begin += count * size

@@ -184,7 +184,7 @@ def lay_out_rows(
     weight = np.zeros((2, int(store.piece[:, 2] @ np.diff(patterns.first)[store.piece[:, 0]])))
     crossing = None if like else _begin_crossing(network, places)
     rays = RayConstants(network, model, variables, patterns, slot, store.piece, store.before)
-    rays.fill(store.data, weight, terms, bending, crossing)
+    rays.fill(store.data, weight, terms, bending, crossing, tables["observation_focal"])
     ranges = _fill_ranges(network, store, terms, rays.effects, weight)
     _fill_ground(network, store, weight)
     starts, kinds = like or _starting_points(network, crossing)
@@ -280,10 +280,10 @@ def _fill_ranges(network: Network, store: _Store, terms: Terms, effects: SharedE
         since = ranges.times[of_image] - image.trajectory.epoch
         begin, step, at = place[of_image], stride[of_image], 7
         store.put(begin, step, 0, image.trajectory.pose(since).position)
-        lines = image.timing.lines(since)
-        for values in terms.basis(j, lines, terms.of_ranges[of_image], False):
+        moments = image.moments(image.timing.lines(since))
+        for values in terms.basis(j, moments, terms.of_ranges[of_image], False):
             at = store.put(begin, step, at, values)
-        moved = effects.of_ranges(j, image.normalised(lines), None if ranges.shares is None else shares[of_image])
+        moved = effects.of_ranges(j, moments.u, None if ranges.shares is None else shares[of_image])
         after[of_image] = store.put(begin, step, at, moved)
     for points, _, motion, on_ranges in known_motions(network) if ranges.shares is not None else ():
         if not on_ranges:
@@ -382,9 +382,9 @@ def _starting_points(network: Network, crossing: Crossing | None) -> tuple[Array
 
 def _start_on_the_ground(network: Network, missing: Index, starts: Array) -> None:
     """Start points without another position (parallel rays) where their first ray meets the ellipsoid."""
-    with_rays, first = np.unique(network.rays.point, return_index=True)
-    for i in missing:
-        k = first[np.searchsorted(with_rays, i)]
+    chosen = np.flatnonzero(np.isin(network.rays.point, missing)) if missing.size else missing
+    with_rays, first = np.unique(network.rays.point[chosen], return_index=True)
+    for i, k in zip(with_rays.tolist(), chosen[first].tolist(), strict=True):
         image = network.images[network.rays.image[k]]
         starts[i] = image.image_to_ground(*network.rays.places[[k]].T)[0][0]
         if not np.all(np.isfinite(starts[i])):
