@@ -4,7 +4,8 @@ The damping is Levenberg's in whitened units: a weak extra prior on the step, in
 sigmas), so that meters and radians count the same. A trial step costs one sweep of the kernel, which also returns the
 next linear system; after a rejected step the cost alone. Near the optimum, where the normal matrix hardly changes, its
 factor is kept and only the gradient is recomputed (simplified Newton method; Ortega & Rheinboldt 1970, ch. 7) as long
-as steps become shorter by a factor of ten. The loop is Python, the work is in the kernel and in LAPACK.
+as steps become shorter by a factor of ten, or of three where the factor takes longer than a sweep. The loop is Python,
+the work is in the kernel and in LAPACK.
 
 Surfaces on which points lie are curved: near the optimum Gauss-Newton steps become shorter by about the same share
 each, or even longer, in the few directions that depend on the relief, and they gain less than the cost's rounding. The
@@ -37,12 +38,8 @@ _ROUNDING = 1e-11
 """Share of the cost by which it may seem to rise: the rounding of body-fixed meters in the residuals."""
 _NEAR = 1e-8
 """Share up to which a rise may come from the starts of the inner solves, and is computed again."""
-_KEEP = 1e-5
-"""Predicted gain of a step, as a share of the cost, up to which the matrix counts as the same after it: rows then
-change by less than some thousandths of their sigma on average."""
-_SHORTER = 0.1
-"""Largest length of a step, in lengths of the step before, for which its matrix is kept: where convergence is slower,
-or steps are damped, keeping it would cost more sweeps than it saves."""
+_LONG = 2e4
+"""Multiplications of a factor for each observation from which on it takes longer than a sweep."""
 _SLOWER = 0.5
 """Least length of a step, in lengths of the step before, of slow convergence."""
 _SLOW_STEPS = 3
@@ -52,6 +49,22 @@ EARLY = 1e-7
 _REMEDY = "look for blunders (reject), or try another loss"
 _SLOW = f"Converged to where a step promises to lower the cost by no more than {EARLY:.0e} of it, slowly."
 _STUCK = f"Stopped: no step lowers the cost although the linear model promises it; {_REMEDY}."
+
+
+class Keeping(NamedTuple):
+    """Steps that leave the normal matrix as it is."""
+
+    gain: float
+    """Largest predicted gain, as a share of the cost."""
+    length: float
+    """Largest length, in lengths of the step before: where convergence is slower, or steps are damped, keeping the
+    matrix would cost more sweeps than it saves."""
+
+
+KEEPING = Keeping(1e-5, 0.1)
+"""Rows then change by less than some thousandths of their sigma on average."""
+KEEPING_LONGER = Keeping(1e-2, 0.3)
+"""Where the factor takes longer than a sweep: steps with a matrix that is nearly the same are a few more, and cheap."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +127,12 @@ class BundleProblem:
     def __init__(self, graph: BundleGraph, reduction: Reduction | None = None) -> None:
         self.graph, self.adjusts = graph, graph.layout.columns > 0
         self._last = reduction
+
+    @property
+    def keeping(self) -> Keeping:
+        """Steps after which the matrix is kept."""
+        long = self.graph.layout.cholesky.operations > _LONG * self.graph.rows.weight.shape[1]
+        return KEEPING_LONGER if long else KEEPING
 
     def at(self, state: Array, task: int) -> Reduction:
         """All points solved (and eliminated) at a state."""
@@ -209,12 +228,12 @@ def levenberg_marquardt(
     if not problem.adjusts:
         return Outcome(state, cost, cost, True, "Nothing to adjust: every image is held.", ())
     damping, rejected, before = _FIRST_DAMPING, 0, math.inf
-    linear = problem.linear(state)
+    linear, keeping = problem.linear(state), problem.keeping
     for number in range(1, settings.max_iterations + 1):
-        linear, step, damping = _solved(problem, state, linear, damping, _SHORTER * before)
+        linear, step, damping = _solved(problem, state, linear, damping, keeping.length * before)
         predicted, length = linear.gain(step), step_length(linear, step)
-        keep = rejected == 0 and damping <= _FIRST_DAMPING and length <= _SHORTER * before
-        keep = keep and _near(predicted, length, cost, settings)
+        keep = rejected == 0 and damping <= _FIRST_DAMPING and length <= keeping.length * before
+        keep = keep and predicted <= keeping.gain * cost and not _last(predicted, length, cost, settings)
         trial = state + step
         new = problem.cost(trial, COSTS if rejected else GRADIENT if keep else SYSTEM)
         accepted = _lower(problem, state, trial, cost, new, predicted)
@@ -265,10 +284,9 @@ def step_length(linear: ReducedEquations, step: Array) -> float:
     return math.sqrt(max(linear.slope(step), 0.0))
 
 
-def _near(predicted: float, length: float, cost: float, settings: SolverSettings) -> bool:
-    """Whether a step will hardly change the matrix, and is not the last one: the posterior needs its own matrix."""
-    last = predicted <= settings.cost_tolerance * cost or length < settings.step_tolerance
-    return predicted <= _KEEP * cost and not last
+def _last(predicted: float, length: float, cost: float, settings: SolverSettings) -> bool:
+    """Whether a step will be the last one: the posterior needs its own matrix."""
+    return predicted <= settings.cost_tolerance * cost or length < settings.step_tolerance
 
 
 def _slow(history: list[Iteration]) -> bool:

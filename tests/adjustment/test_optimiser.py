@@ -9,8 +9,17 @@ import numpy as np
 import pytest
 from networks import network, pair, with_shift_and_surface
 
+from mgsgraph.adjustment import batch
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.batch import Outcome, levenberg_marquardt, settled_minimum, with_final_steps
+from mgsgraph.adjustment.batch import (
+    KEEPING,
+    KEEPING_LONGER,
+    BundleProblem,
+    Outcome,
+    levenberg_marquardt,
+    settled_minimum,
+    with_final_steps,
+)
 from mgsgraph.adjustment.graph import BundleGraph, lay_out
 from mgsgraph.adjustment.optimize import Iteration
 from mgsgraph.adjustment.settings import SolverSettings
@@ -39,6 +48,7 @@ class Problem:
     """By its cost, its gradient and what is taken for its matrix; its cost may lie, as asked, by a share of it."""
 
     adjusts = True
+    keeping = KEEPING
 
     def __init__(
         self,
@@ -98,6 +108,26 @@ def test_a_kept_matrix_is_renewed_where_it_no_longer_fits(bend: float) -> None:
     assert any(problem.kept)
     if bend > 1.0:
         assert sum(not kept for kept in problem.kept) > 1
+
+
+def test_a_matrix_whose_factor_takes_long_is_made_more_rarely(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same optimum from fewer matrices; a real block takes the rule by its factor's operations."""
+    costs, matrices = list[float](), list[int]()
+    for keeping in (KEEPING, KEEPING_LONGER):
+        problem = Problem(
+            lambda x: 1000.0 + float(0.5 * x[0] ** 2 + 0.25 * x[0] ** 4),
+            lambda x: x + x**3, lambda x: np.diag(1.0 + 3.0 * x**2),
+        )  # fmt: skip
+        problem.keeping = keeping
+        outcome = levenberg_marquardt(problem, np.array([2.0]), SolverSettings(cost_tolerance=1e-15), quiet)
+        costs.append(outcome.cost_final)
+        matrices.append(sum(not kept for kept in problem.kept))
+    assert costs[0] == pytest.approx(costs[1], rel=1e-14)
+    assert matrices[1] < matrices[0]
+    block = BundleProblem(BundleGraph(lay_out(network(pair()), SolverSettings())))
+    assert block.keeping is KEEPING
+    monkeypatch.setattr(batch, "_LONG", 0.0)
+    assert block.keeping is KEEPING_LONGER
 
 
 def test_damping_is_eased_near_the_optimum_too() -> None:
