@@ -269,7 +269,9 @@ def medians(values: Array, groups: Index, number: int) -> Array:
     """(number,) median of the finite values (n,) of each group (n,), counted from 0; NaN where there are none."""
     sound = np.isfinite(values)
     values, groups = values[sound], groups[sound]
-    ordered, of, middle = values[np.lexsort((values, groups))], counts(groups, number), np.full(number, np.nan)
+    by_value = np.argsort(values)  # with sorted groups, of few bits, a third of the time of np.lexsort
+    order = by_value[np.argsort(groups[by_value].astype(np.min_scalar_type(number)), kind="stable")]
+    ordered, of, middle = values[order], counts(groups, number), np.full(number, np.nan)
     first, some = np.cumsum(of) - of, of > 0
     low, high = (ordered[(first + shift)[some]] for shift in ((of - 1) // 2, of // 2))
     middle[some] = 0.5 * (low + high)

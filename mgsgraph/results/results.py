@@ -3,6 +3,7 @@
 import dataclasses
 import math
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -251,17 +252,24 @@ def write_into(
     files = [{"path": str(path.resolve()), "sha256": sha256_of(path)} for path in networks if path.is_file()]
     inputs |= {"networks": files} if files else {}
     write_json(folder / RECORD, solution_json(solution, connected, sections) | inputs)
-    orientation_table(solution).write_csv(folder / "orientation.csv")
-    large = write_large_tables(solution, folder, tables)
-    connectivity_table(connected).write_csv(folder / "connectivity.csv")
-    write_archive(solution, folder / ARCHIVE)
-    names = [RECORD, large[0], "orientation.csv", large[1], "connectivity.csv", ARCHIVE]
-    names += [name for section in sections for name in section.write(folder, figures=False)]
-    if figures:
-        from mgsgraph.results.figures import write_figures  # matplotlib loads slowly
+    with ThreadPoolExecutor(1) as beside:  # to compress and write large files leaves the interpreter to the figures
+        large = beside.submit(_write_large_files, solution, folder, tables)
+        orientation_table(solution).write_csv(folder / "orientation.csv")
+        connectivity_table(connected).write_csv(folder / "connectivity.csv")
+        names = [name for section in sections for name in section.write(folder, figures=False)]
+        if figures:
+            from mgsgraph.results.figures import write_figures  # matplotlib loads slowly
 
-        names += write_figures(solution, folder, connected)
-    return names
+            names += write_figures(solution, folder, connected)
+        points, residuals, archive = large.result()
+    return [RECORD, points, "orientation.csv", residuals, "connectivity.csv", archive, *names]
+
+
+def _write_large_files(solution: Solution, folder: Path, tables: TableForm | None) -> tuple[str, str, str]:
+    """Write tables of points and residuals, and the archive, into a folder; their names."""
+    points, residuals = write_large_tables(solution, folder, tables)
+    write_archive(solution, folder / ARCHIVE)
+    return points, residuals, ARCHIVE
 
 
 def case_of(folder: str | Path) -> Path:

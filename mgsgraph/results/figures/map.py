@@ -111,7 +111,9 @@ def block_window(solution: Solution, connected: Connectivity | None = None) -> M
     axes = east_north_up(solution.places[rows])
     sigmas = np.sqrt(np.trace(covariances, axis1=1, axis2=2))
     moved = np.einsum("nij,nj->ni", axes[:, :2], (solution.places - solution.places_before)[rows])
-    horizontal = np.einsum("nij,njk,nlk->nil", axes[:, :2], covariances, axes[:, :2])
+    horizontal = None
+    if len(rows) <= MOST_MARKS:
+        horizontal = axes[:, :2] @ covariances @ np.swapaxes(axes[:, :2], 1, 2)
     corners = np.concatenate([places, *outlines.values()])
     about = (solution.name, centre, corners, outlines)
     return points_window(about, places, sigmas, ("3-D sigma", "m"), classes[rows], horizontal, moved)
