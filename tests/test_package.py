@@ -1,6 +1,7 @@
 """The house: what is declared is what is on disk, every import goes down, and files for others say the same."""
 
 import ast
+import json
 import os
 import re
 import shutil
@@ -392,6 +393,17 @@ def test_the_recipe_needs_what_the_package_needs() -> None:
     needed = re.findall(r"^    - ([\w-]+) >=([\d.]+)$", run[1], re.MULTILINE)
     declared = {names.get(name, name): bound for name, bound in lowest(PROJECT["dependencies"]).items()}
     assert {name: bound for name, bound in needed if name != "python"} == declared
+
+
+def test_the_container_runs_the_demo_of_the_readme() -> None:
+    container, readme = text_of("recipe/Containerfile"), text_of("README.md")
+    verb = re.search(r"^CMD (\[.+\])$", container, re.MULTILINE)
+    installed = re.search(r"FROM python:([\d.]+)-.*\nCOPY \. \S+\nRUN pip install .*\[(\w+)\]", container)
+    assert verb is not None
+    assert installed is not None
+    assert f"/mgsgraph {' '.join(json.loads(verb[1]))}\n" in readme
+    assert f"Programming Language :: Python :: {installed[1]}" in PROJECT["classifiers"]
+    assert installed[2] in EXTRAS
 
 
 def test_workflows_call_parts_that_there_are() -> None:
