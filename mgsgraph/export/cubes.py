@@ -15,11 +15,11 @@ import shutil
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 from datetime import datetime
+from hashlib import file_digest
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -46,7 +46,7 @@ from mgsgraph.files.labels.isis_cube import (
 )
 from mgsgraph.files.opening import read_json, sha256_of
 from mgsgraph.files.output.folders import PROGRAM
-from mgsgraph.files.pvl import Block, Document, Value, keyword_lines, read_label, text_value, whole_label
+from mgsgraph.files.pvl import Block, Value, keyword_lines, read_label, text_value
 from mgsgraph.files.writing import fresh_file, write_file
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage
@@ -57,10 +57,8 @@ from mgsgraph.units import KM
 
 _TOLERANCE, LARGEST = 2e-5, 1e-4
 """px, by which interpolation between samples may be off, and by which what is read back may."""
-_DEGREES = range(1, 10)
-"""Of polynomials, in which case they are tried in turn."""
-_PLACES = (np.arange(5) + 0.5) / 5
-"""Shares of lines and samples at which cameras are compared."""
+_DEGREES, _PLACES = range(1, 10), (np.arange(5) + 0.5) / 5
+"""Of polynomials, tried in turn; shares of lines and samples at which cameras are compared."""
 _POINTING, _POSITION = _RENEWED_TABLES = "InstrumentPointing", "InstrumentPosition"
 _OUTDATED = {("polygon", ""), ("table", "camerastatistics")}
 """What says where the earlier orientation has seen the ground."""
@@ -71,23 +69,10 @@ _BYTES = re.compile(r"^(Object\s*=\s*Label\s+Bytes\s*=\s*)\d+", re.MULTILINE | r
 _END = re.compile(r"^[ \t]*End[ \t]*$", re.MULTILINE | re.IGNORECASE)
 _BLOCK = 65536
 """bytes; a label that has outgrown its room gets as many more, or a multiple."""
-_CHUNK = 1 << 24
 _REMEDY = "export csm or spice: cubes hold positions and attitudes, camera constants and line times are their own"
 
 
-class CubeFiles(NamedTuple):
-    """Files written, what they may replace, and sentences about them."""
-
-    paths: list[Path]
-    """Files."""
-    notes: tuple[str, ...]
-    """What holds for them."""
-    originals: list[tuple[Path, Path]]
-    """New files, each with the one that it may replace, in this order."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Blob:
+class _Blob(NamedTuple):
     """What stands behind a label: its kind, keys of its own, fields of its records, and bytes."""
 
     kind: str
@@ -97,24 +82,15 @@ class _Blob:
     content: bytes
 
 
-class _Said(NamedTuple):
-    """What files say of the adjustment."""
-
-    time: str
-    """When it was."""
-    version: str
-    """Of the program."""
-    positions: str
-    """Description of positions."""
-    attitudes: str
-    """Description of attitudes."""
-
-
 _Tables = Mapping[str, tuple[tuple[str, ...], Array]]
 """Fields and records by table."""
+_New = list[tuple[Path, Path]]
+"""Files, each with the one that it may replace, in this order."""
 
 
-def write_cubes(solution: Solution, folder: Path, sources: Mapping[str, Path], when: datetime) -> CubeFiles:
+def write_cubes(
+    solution: Solution, folder: Path, sources: Mapping[str, Path], when: datetime
+) -> tuple[list[Path], tuple[str, ...], _New]:
     """Write an adjusted copy of each image's cube into an existing folder, read it back and compare.
 
     Parameters
@@ -128,6 +104,15 @@ def write_cubes(solution: Solution, folder: Path, sources: Mapping[str, Path], w
     when : datetime
         Of the adjustment, for marks and history.
 
+    Returns
+    -------
+    paths : list of Path
+        What was written.
+    notes : tuple of str
+        What holds for them.
+    new : list of (Path, Path)
+        New files, each with the one that it may replace, in this order.
+
     Raises
     ------
     InputError
@@ -136,39 +121,33 @@ def write_cubes(solution: Solution, folder: Path, sources: Mapping[str, Path], w
     """
     paths, originals, biased, mapped, largest = list[Path](), list[tuple[Path, Path]](), list[str](), list[str](), 0.0
     for j, image in enumerate(solution.network.images):
-        source = _source(image.name, sources)
+        if image.name not in sources:
+            raise InputError(f"image {image.name}", "no ISIS cube of it", "one", "name the case that has it (--case)")
+        source = cube_files(sources[image.name])
         root = read_label(source[0])
         label, picture = label_of(source[0], root), solution.image(j)
         biased += [image.name] * (label.camera.attitude_bias != 0.0)
         mapped += [image.name] * is_map_projected(root)
-        said = _said(solution, when, label.camera.attitude_bias)
-        tables = _adjusted_tables(picture, solution.correction(j), _tables(source, root))
         if folder / source[0].name in paths:
             raise InputError(str(source[0]), f"another image's file called {source[0].name}", "names that differ")
+        words = _description(solution, label.camera.attitude_bias)
+        tables = _adjusted(picture, solution.correction(j), _tables(*source, root))
         if source[1] is not None:
-            new = _with_json(source[1], folder, tables, label.camera.instrument, said)
+            new = _with_json(source[1], folder, tables, label.camera.instrument, words)
         else:
-            new = _with_blobs(source[0], root, folder, tables, said)
-        others = [Path(shutil.copyfile(file, folder / file.name)) for file in _files_of(source, root)]
-        paths += [*others, *(copy for copy, _ in new)]
+            new = _with_blobs(source[0], root, folder, tables, f"{when:%Y-%m-%dT%H:%M:%S}", words)
+        paths += [Path(shutil.copyfile(file, folder / file.name)) for file in _files_of(*source, root)]
+        paths += [copy for copy, _ in new]
         originals += new
         largest = max(largest, _compared(folder / source[0].name, picture, solution.correction(j)))
-    return CubeFiles(paths, tuple(_notes(len(solution.network.images), largest, biased, mapped)), originals)
+    return paths, tuple(_notes(len(solution.network.images), largest, biased, mapped)), originals
 
 
-def _source(name: str, sources: Mapping[str, Path]) -> tuple[Path, Path | None]:
-    """Label and JSON of an image's tables."""
-    if name not in sources:
-        where, expected = f"export to cubes, image {name}", "its ISIS cube, or the label of one"
-        raise InputError(where, "none", expected, "name the case (--case), and the cube of each image in it")
-    return cube_files(sources[name])
-
-
-def _said(solution: Solution, when: datetime, bias: float) -> _Said:
-    version = solution.versions.get(PROGRAM, "unknown")
-    by = f"Adjusted by {PROGRAM} {version}, {'converged' if solution.converged else 'NOT converged'}."
-    once = f" Times hold the camera's attitude bias of {bias:g} s once: add none." if bias else ""
-    return _Said(f"{when:%Y-%m-%dT%H:%M:%S}", version, f"{by} Positions are geometric.", by + once)
+def _description(solution: Solution, bias: float) -> str:
+    """What copies say of themselves."""
+    state = "converged" if solution.converged else "NOT converged"
+    once = f"; times hold the attitude bias of {bias:g} s once" if bias else ""
+    return f"{PROGRAM} {solution.versions.get(PROGRAM, '')}: adjusted, {state}; positions are geometric{once}"
 
 
 def _notes(count: int, largest: float, biased: list[str], mapped: list[str]) -> Iterator[str]:
@@ -182,19 +161,15 @@ def _notes(count: int, largest: float, biased: list[str], mapped: list[str]) -> 
 # --- tables
 
 
-def _tables(source: tuple[Path, Path | None], root: Block) -> dict[str, CubeTable]:
+def _tables(path: Path, beside: Path | None, root: Block) -> dict[str, CubeTable]:
     """The cube's own, whose body rotation and constant rotation stay."""
-    path, beside = source
     tables = tables_of_json(read_json(beside), str(beside)) if beside else tables_of_label(path, root)
-    for name in (_POINTING, _POSITION, "BodyRotation"):
-        if name not in tables:
-            raise InputError(str(path), f"no table {name}", "those of spiceinit", "run spiceinit with attach=yes")
+    if missing := {*_RENEWED_TABLES, "BodyRotation"} - tables.keys():
+        raise InputError(str(path), f"no table {min(missing)}", "those of spiceinit", "run spiceinit with attach=yes")
     return tables
 
 
-def _adjusted_tables(
-    image: PushbroomImage, correction: OrientationCorrection, tables: Mapping[str, CubeTable]
-) -> _Tables:
+def _adjusted(image: PushbroomImage, correction: OrientationCorrection, tables: dict[str, CubeTable]) -> _Tables:
     """Samples, or polynomials in place of such, over the time of the earlier positions; km, km/s, rad/s, s TDB past
     J2000.
     """
@@ -204,16 +179,15 @@ def _adjusted_tables(
     nodes = adjusted_nodes(image, correction, (first, last), _TOLERANCE, body)
     matrices, times = tables[_POINTING].constant.T @ nodes.matrices, (nodes.times + nodes.epoch)[:, None]
     places, quaternions = nodes.positions / KM, rotation.continuous(rotation.from_matrix(matrices))
-    made = {
+    made: dict[str, tuple[tuple[str, ...], Array]] = {
         _POINTING: ((*QUATERNION, *RATES, "ET"), np.hstack([quaternions, nodes.angular_rate, times])),
         _POSITION: ((*POSITION, *VELOCITY, "ET"), np.hstack([places, nodes.velocities / KM, times])),
     }
     angles = np.unwrap(rotation.angles_313(matrices), axis=0)
-    for name, fields, values, scale in (
-        (_POINTING, ANGLES, angles, image.pixel_angle), (_POSITION, COEFFICIENTS, places, nodes.pixel / KM)
-    ):  # fmt: skip
-        rows = None if tables[name].sampled else _polynomials(nodes, values, _TOLERANCE * scale)
-        made |= {} if rows is None else {name: (fields, rows)}
+    forms = (_POINTING, ANGLES, angles, image.pixel_angle), (_POSITION, COEFFICIENTS, places, nodes.pixel / KM)
+    for name, fields, values, scale in forms:
+        if not tables[name].sampled and (rows := _polynomials(nodes, values, _TOLERANCE * scale)) is not None:
+            made[name] = fields, rows
     return made
 
 
@@ -230,59 +204,56 @@ def _polynomials(nodes: AdjustedNodes, values: Array, tolerance: float) -> Array
 
 # --- files
 
-_New = list[tuple[Path, Path]]
-"""Files, each with the one that it may replace."""
-
-
-def _with_json(path: Path, folder: Path, tables: _Tables, instrument: int, said: _Said) -> _New:
+def _with_json(path: Path, folder: Path, tables: _Tables, instrument: int, words: str) -> _New:
     """The label as it is, and the JSON with other tables."""
     content = read_json(path)
-    for key, name, fields in (
-        ("instrument_pointing", _POINTING, {"quaternions": slice(0, 4), "angular_velocities": slice(4, 7)}),
-        ("instrument_position", _POSITION, {"positions": slice(0, 3), "velocities": slice(3, 6)}),
-    ):
-        rows = tables[name][1]
-        content[key] |= {"ephemeris_times": rows[:, -1].tolist()}
-        content[key] |= {field: rows[:, part].tolist() for field, part in fields.items()}
-    end, keywords = "_LIGHTTIME_CORRECTION", dict[str, Any](content.get("naif_keywords", {}))
-    kept = {key: value for key, value in keywords.items() if not key.upper().endswith(end)}
-    content |= {"naif_keywords": kept | {f"INS{instrument}{end}": "NONE"}, PROGRAM: said.attitudes}
+    (_, turned), (_, moved) = tables[_POINTING], tables[_POSITION]
+    attitudes = {"quaternions": turned[:, :4].tolist(), "angular_velocities": turned[:, 4:7].tolist()}
+    content["instrument_pointing"] |= attitudes | {"ephemeris_times": turned[:, 7].tolist()}
+    places = {"positions": moved[:, :3].tolist(), "velocities": moved[:, 3:6].tolist()}
+    content["instrument_position"] |= places | {"ephemeris_times": moved[:, 6].tolist()}
+    end = "_LIGHTTIME_CORRECTION"
+    kept = {key: value for key, value in content["naif_keywords"].items() if not key.upper().endswith(end)}
+    content |= {"naif_keywords": kept | {f"INS{instrument}{end}": "NONE"}, PROGRAM: words}
     write_file(folder / path.name, json.dumps(content, indent=1, allow_nan=False))
     return [(folder / path.name, path)]
 
 
-def _with_blobs(path: Path, root: Block, folder: Path, tables: _Tables, said: _Said) -> _New:
+def _with_blobs(path: Path, root: Block, folder: Path, tables: _Tables, time: str, words: str) -> _New:
     """A cube with other tables behind it, or a detached label with a file of them."""
-    blobs = [*_table_blobs(root, tables, said), _history(path, root, said)]
+    blobs = [*_table_blobs(root, tables, words), _history(path, root, time, words)]
     data = b"".join(blob.content for blob in blobs)
-    core = root.inner("IsisCube").inner("Core")
-    if detached_file(path, core) != path:
+    if detached_file(path, root.inner("IsisCube").inner("Core")) != path:
         beside = f"{path.stem}.{zlib.crc32(data):08x}.tables"
         write_file(folder / beside, data)
-        write_file(folder / path.name, _relabelled(root, blobs, 0, said.time, beside).encode("latin-1"))
+        write_file(folder / path.name, _relabelled(root, blobs, 0, time, beside).encode("latin-1"))
         return [(folder / beside, path.with_name(beside)), (folder / path.name, path)]
-    size, room = path.stat().st_size, _room(root)
-    text, grown = _relabelled(root, blobs, size, said.time), 0
+    text, room, grown = _relabelled(root, blobs, path.stat().st_size, time), _room(root), 0
     if len(text) >= room:
         grown = -(-(len(text) + _BLOCK // 16 - room) // _BLOCK) * _BLOCK
-        text = _relabelled(_moved(root, room, grown), blobs, size + grown, said.time)
-    with fresh_file(folder / path.name) as temporary, path.open("rb") as old, temporary.open("wb") as new:
+        text = _START.sub(lambda found: f"{found[1]}{int(found[2]) + grown}", text)
+        text = _BYTES.sub(lambda found: f"{found[1]}{room + grown}", text)
+    with fresh_file(folder / path.name) as temporary, path.open("rb") as old, temporary.open("w+b") as new:
         new.write(text.encode("latin-1").ljust(room + grown, b"\0"))
         old.seek(room)
-        shutil.copyfileobj(old, new, _CHUNK)
+        shutil.copyfileobj(old, new)
         new.write(data)
-    _require_same_bytes(path, room, folder / path.name, room + grown)
+        old.seek(room)
+        new.seek(room + grown)
+        behind = file_digest(old, "sha256")
+        behind.update(data)
+        if behind.digest() != file_digest(new, "sha256").digest():
+            raise InputError(str(folder / path.name), "bytes that are read back otherwise", f"those of {path}")
     return [(folder / path.name, path)]
 
 
-def _table_blobs(root: Block, tables: _Tables, said: _Said) -> Iterator[_Blob]:
-    of_name = {block.text("Name").lower(): block for block in root.blocks if block.name == "table"}
-    described = {_POINTING: said.attitudes, _POSITION: said.positions}
+def _table_blobs(root: Block, tables: _Tables, words: str) -> Iterator[_Blob]:
+    of_key = {_key(block): block for block in root.blocks}
     for name, (fields, rows) in tables.items():
         kind = "HermiteSpline" if "ET" in fields else "PolyFunction"
         cache = [("CacheType", kind), (CORRECTION, "NONE")] if name == _POSITION else []
-        keys = [("Records", str(len(rows))), ("ByteOrder", "Lsb"), *cache, *_kept(of_name[name.lower()])]
-        keys.append(("Description", text_value(described[name], name)))
+        keys = [("Records", str(len(rows))), ("ByteOrder", "Lsb"), *cache, *_kept(of_key["table", name.lower()])]
+        keys.append(("Description", text_value(words, name)))
         yield _Blob("Table", name, tuple(keys), fields, rows.astype("<f8").tobytes())
 
 
@@ -295,22 +266,16 @@ def _kept(block: Block) -> Iterator[tuple[str, str]]:
             yield key.strip(), value.strip()
 
 
-def _history(path: Path, root: Block, said: _Said) -> _Blob:
-    """The earlier history, as far as it is there, and an entry."""
-    name, before = "IsisCube", b""
-    for block in root.blocks:
-        if block.name == "history":
-            name = block.text("Name")
-            with detached_file(path, block).open("rb") as file:
-                file.seek(block.count("StartByte") - 1)
-                before = file.read(block.count("Bytes"))
-    keys: list[tuple[str, Value]] = [
-        ("ProgramVersion", text_value(said.version, "history")), ("ExecutionDateTime", said.time),
-        ("Description", text_value(said.attitudes, "history")),
-    ]  # fmt: skip
-    lines = [f"Object = {PROGRAM}", *keyword_lines(keys, 2), "", "  Group = UserParameters"]
-    lines += [f"    FROM = {text_value(path.name, 'history')}", "  End_Group", "End_Object", ""]
-    return _Blob("History", name, (), (), (before + b"\n" if before else b"") + "\n".join(lines).encode())
+def _history(path: Path, root: Block, time: str, words: str) -> _Blob:
+    """The earlier history and an entry."""
+    blocks, before = [block for block in root.blocks if block.name == "history"], b""
+    for block in blocks[:1]:
+        with detached_file(path, block).open("rb") as file:
+            file.seek(block.count("StartByte") - 1)
+            before = file.read(block.count("Bytes")) + b"\n"
+    keys: list[tuple[str, Value]] = [("ExecutionDateTime", time), ("Description", text_value(words, "history"))]
+    entry = "\n".join([f"Object = {PROGRAM}", *keyword_lines(keys, 2), "End_Object", ""])
+    return _Blob("History", blocks[0].text("Name") if blocks else "IsisCube", (), (), before + entry.encode())
 
 
 # --- the label
@@ -325,18 +290,19 @@ def _relabelled(root: Block, blobs: list[_Blob], start: int, time: str, beside: 
     last = _END.search(text, root.blocks[-1].position)
     bounds, pieces = [block.position for block in root.blocks] + [last.start() if last else len(text)], list[str]()
     for block, (begin, end) in zip(root.blocks, pairwise(bounds), strict=True):
-        key = block.name, block.text("Name").lower() if block.name in ("table", "history") else ""
-        if key not in _OUTDATED:
+        if (key := _key(block)) not in _OUTDATED:
             pieces.append(texts.pop(key, _MARK.sub("", text[begin:end])))
     return "".join([*pieces, *texts.values(), "End\n"])
 
 
+def _key(block: Block) -> tuple[str, str]:
+    return block.name, block.text("Name").lower() if block.name in ("table", "history") else ""
+
+
 def _object_text(blob: _Blob, start: int, time: str, beside: str) -> str:
-    where: list[tuple[str, Value]] = [
-        ("Name", blob.name), ("StartByte", str(start)), ("Bytes", str(len(blob.content))), *blob.keys
-    ]  # fmt: skip
-    where += [(f"^{blob.kind}", beside)] if beside else []
-    lines = [f"# Jigged = {time}"] * (blob.kind == "Table") + [f"Object = {blob.kind}", *keyword_lines(where, 2)]
+    keys = [("Name", blob.name), ("StartByte", str(start)), ("Bytes", str(len(blob.content))), *blob.keys]
+    keys += [(f"^{blob.kind}", text_value(beside, beside))] if beside else []
+    lines = [f"# Jigged = {time}"] * (blob.kind == "Table") + [f"Object = {blob.kind}", *keyword_lines(keys, 2)]
     for field in blob.fields:
         lines += ["", "  Group = Field", f"    Name = {field}", "    Type = Double", "    Size = 1", "  End_Group"]
     return "\n".join([*lines, "End_Object", "", ""])
@@ -344,26 +310,15 @@ def _object_text(blob: _Blob, start: int, time: str, beside: str) -> str:
 
 def _room(root: Block) -> int:
     """Bytes that are the label's own: as it says, or what is before the first byte of anything else."""
-    starts = [int(start) for _, start in _START.findall(root.document.text)]
-    stated = [block.count("Bytes") for block in root.blocks if block.name == "label"]
-    return min([*stated, min(starts) - 1])
+    starts = [int(start) - 1 for _, start in _START.findall(root.document.text)]
+    return min([block.count("Bytes") for block in root.blocks if block.name == "label"] + starts)
 
 
-def _moved(root: Block, room: int, by: int) -> Block:
-    """The label of a cube whose other bytes stand farther behind."""
-    text = _START.sub(lambda found: found[1] + str(int(found[2]) + by), root.document.text)
-    text = _BYTES.sub(lambda found: found[1] + str(room + by), text)
-    return whole_label(Document(root.document.source, text))
-
-
-def _files_of(source: tuple[Path, Path | None], root: Block) -> set[Path]:
+def _files_of(path: Path, beside: Path | None, root: Block) -> set[Path]:
     """Files of a cube that stay as they are: the label of JSON, what a detached one names beside the new tables."""
-    path, beside = source
-    if beside is not None:
-        return {path}
-    others = [block for block in root.blocks if block.name not in ("table", "history")]
-    others += [block for block in root.blocks if block.name == "table" and block.text("Name") not in _RENEWED_TABLES]
-    return {detached_file(path, block) for block in [root.inner("IsisCube").inner("Core"), *others]} - {path}
+    renewed, core = {("table", name.lower()) for name in _RENEWED_TABLES}, root.inner("IsisCube").inner("Core")
+    kept = [block for block in root.blocks if block.name != "history" and _key(block) not in renewed]
+    return {path} if beside else {detached_file(path, block) for block in (core, *kept)} - {path}
 
 
 # --- in place
@@ -382,22 +337,12 @@ def replace_cubes(pairs: Sequence[tuple[Path, Path]]) -> None:
             target = resolved(original, "name the file itself")
             temporary = stack.enter_context(fresh_file(target, "a cube that may be replaced", "leave out --update"))
             shutil.copyfile(copy, temporary)
-            if target.exists():
-                shutil.copymode(target, temporary)
+            shutil.copymode(target if target.exists() else copy, temporary)
             if sha256_of(temporary) != sha256_of(copy):
                 raise InputError(str(target), "a copy that is read back otherwise", f"{copy}, byte for byte")
 
 
 # --- read back
-
-
-def _require_same_bytes(path: Path, begin: int, copy: Path, other: int) -> None:
-    with path.open("rb") as old, copy.open("rb") as new:
-        old.seek(begin)
-        new.seek(other)
-        while chunk := old.read(_CHUNK):
-            if new.read(len(chunk)) != chunk:
-                raise InputError(str(copy), "other bytes behind its label than were written", f"those of {path}")
 
 
 def _compared(path: Path, image: PushbroomImage, correction: OrientationCorrection) -> float:
@@ -408,6 +353,5 @@ def _compared(path: Path, image: PushbroomImage, correction: OrientationCorrecti
     off = np.linalg.norm(seen - np.column_stack([lines, samples]), axis=1)[np.isfinite(ground).all(axis=1)]
     largest = float(off.max()) if off.size else np.nan
     if not largest <= LARGEST:
-        found = f"a camera that is {largest:.3g} px off the solution's when it is read back"
-        raise InputError(f"image {image.name}, cube", found, f"at most {LARGEST:g} px", _REMEDY)
+        raise InputError(str(path), f"a camera {largest:.3g} px off the solution's", f"at most {LARGEST:g} px", _REMEDY)
     return largest

@@ -71,8 +71,6 @@ class Exported(NamedTuple):
     """Whether the solution is."""
     notes: tuple[str, ...] = ()
     """What the files keep of those that the solution was made from, and what not, in sentences."""
-    originals: tuple[Path, ...] = ()
-    """Cubes that were replaced, too."""
 
     @property
     def sentence(self) -> str:
@@ -87,7 +85,6 @@ class Exported(NamedTuple):
                 f"; read back by SPICE alone, {self.measures} measures fall within {self.largest:.2g} px of where the "
                 "solution has them"
             )
-        written += f"; {many(len(self.originals), 'original')} replaced" if self.originals else ""
         return " ".join([f"{written}.", *(words for words, holds in beware.items() if holds)])
 
 
@@ -140,7 +137,7 @@ def exporting(path: Path, target: Target, out: Path, settings: ExportSettings) -
             done = _verified(done, solution, temporary)
         write_json(temporary / EXPORT, _record(done, solution, settings))
         replaced = [(out / copy.relative_to(temporary), original) for copy, original in output.originals]
-        yield done._replace(originals=tuple(original for _, original in replaced) if settings.update else ())
+        yield done
     if settings.update:
         from mgsgraph.export.cubes import replace_cubes
 
@@ -269,13 +266,13 @@ def _cubes(solution: Solution, folder: Path, settings: ExportSettings, path: Pat
     from mgsgraph.case.case_file import decode
     from mgsgraph.export.cubes import write_cubes
 
-    record = path / RECORD if path.is_dir() else path.with_name(RECORD)
-    remembered = read_record(record).get("case") if record.is_file() else None
-    case = settings.case or (Path(str(remembered)) if remembered else None)
-    images = () if case is None else decode(case).images
-    files = {image.name: case.parent / str(image.cube or image.label) for image in images if image.cube or image.label}
+    record = (path if path.is_dir() else path.parent) / RECORD
+    case = settings.case or (read_record(record).get("case") if record.is_file() else None)
+    images, folder_of = (decode(Path(case)).images, Path(case).parent) if case else ((), path)
+    files = {image.name: folder_of / str(image.cube or image.label) for image in images if image.cube or image.label}
     when = datetime.fromtimestamp((record if record.is_file() else path).stat().st_mtime, UTC)
-    return _Written(*write_cubes(solution, folder, files, when))
+    paths, notes, new = write_cubes(solution, folder, files, when)
+    return _Written(paths, (*notes, *["Each copy takes the place of its cube, too."] * settings.update), new)
 
 
 _WRITERS: dict[Target, Callable[[Solution, Path, ExportSettings, Path], _Written]] = {

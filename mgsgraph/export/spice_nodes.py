@@ -120,13 +120,13 @@ def _nodes(
     pose = image.pose(lines[chosen], correction)
     rate = 1.0 / periods[chosen, None]
     angular_rate = np.einsum("nji,nj->ni", pose.matrix, pose.angular_rate * rate)
-    times, vectors, matrices = (reached[chosen] + epoch) - epoch, [pose.position, pose.velocity * rate], pose.matrix
-    vectors.append(angular_rate)
-    if body is not None:
-        turn, spin = body.at(times)
-        vectors = [vectors[0], vectors[1] + np.cross(spin, vectors[0]), vectors[2] + spin]
-        vectors, matrices = [np.einsum("nji,nj->ni", turn, vector) for vector in vectors], matrices @ turn
-    return epoch, times, vectors[0], vectors[1], matrices, vectors[2]
+    times, velocity = (reached[chosen] + epoch) - epoch, pose.velocity * rate
+    if body is None:
+        return epoch, times, pose.position, velocity, pose.matrix, angular_rate
+    turn, spin = body.at(times)
+    fixed = pose.position, velocity + np.cross(spin, pose.position), angular_rate + spin
+    position, velocity, angular_rate = (np.einsum("nji,nj->ni", turn, vector) for vector in fixed)
+    return epoch, times, position, velocity, pose.matrix @ turn, angular_rate
 
 
 def _first_times(
@@ -172,9 +172,8 @@ def _pixel(image: PushbroomImage, correction: OrientationCorrection) -> tuple[fl
 
 
 def _errors(
-    image: PushbroomImage, correction: OrientationCorrection, nodes: _Nodes, distance: float,
-    body: AttitudeTable | None,
-) -> Array:  # fmt: skip
+    image: PushbroomImage, correction: OrientationCorrection, nodes: _Nodes, distance: float, body: AttitudeTable | None
+) -> Array:
     """(n - 1,) m across the line of sight at most, at which interpolation in each interval misses the ground."""
     _, times, positions, velocities, matrices, _ = nodes
     between = (times[:-1, None] + np.diff(times)[:, None] * _WITHIN).ravel()

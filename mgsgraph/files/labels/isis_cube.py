@@ -234,7 +234,7 @@ def _of_cube(path: Path, label: Block, name: str) -> CubeTable:
         {block.text("Name"): numbers[:, k] for k, block in enumerate(fields)},
         np.array(label.numbers("ConstantRotation", 9)).reshape(3, 3) if "ConstantRotation" in label else np.eye(3),
         *(label.number(key) if key in label else None for key in ends),
-        _is_geometric(label),
+        geometric=CORRECTION in label and label.text(CORRECTION).upper() == "NONE",
     )
 
 
@@ -244,12 +244,6 @@ def detached_file(path: Path, label: Block) -> Path:
     """
     key = f"^{label.name}"
     return path.parent / label.text(key) if key in label else path
-
-
-def _is_geometric(label: Block) -> bool:
-    if CORRECTION in label and label.text(CORRECTION).upper() != "NONE":
-        raise InputError(label.where(CORRECTION), repr(label.text(CORRECTION)), f"{CORRECTION} = NONE, or no such key")
-    return CORRECTION in label
 
 
 # --- the cube
