@@ -229,12 +229,12 @@ def _of_cube(path: Path, label: Block, name: str) -> CubeTable:
         raise InputError(where, "values that are no numbers", "finite ones")
     kind = "Ck" if "Rotation" in name or "Pointing" in name else "Spk"
     ends = (f"{kind}Table{end}Time" for end in ("Start", "End"))
+    first, last = (label.number(key) if key in label else None for key in ends)
     return CubeTable(
         where,
         {block.text("Name"): numbers[:, k] for k, block in enumerate(fields)},
         np.array(label.numbers("ConstantRotation", 9)).reshape(3, 3) if "ConstantRotation" in label else np.eye(3),
-        *(label.number(key) if key in label else None for key in ends),
-        geometric=CORRECTION in label and label.text(CORRECTION).upper() == "NONE",
+        first, last, CORRECTION in label and label.text(CORRECTION).upper() == "NONE",
     )
 
 
