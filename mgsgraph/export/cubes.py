@@ -44,10 +44,10 @@ from mgsgraph.files.labels.isis_cube import (
     tables_of_json,
     tables_of_label,
 )
-from mgsgraph.files.opening import read_json, sha256_of
+from mgsgraph.files.opening import ANY_SIZE, opened, read_json, sha256_of
 from mgsgraph.files.output.folders import PROGRAM
 from mgsgraph.files.pvl import Block, Value, keyword_lines, read_label, text_value
-from mgsgraph.files.writing import fresh_file, write_file
+from mgsgraph.files.writing import fresh_file, write_file, writing_to
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
@@ -212,9 +212,8 @@ def _with_json(path: Path, folder: Path, tables: _Tables, instrument: int, words
     content["instrument_pointing"] |= attitudes | {"ephemeris_times": turned[:, 7].tolist()}
     places = {"positions": moved[:, :3].tolist(), "velocities": moved[:, 3:6].tolist()}
     content["instrument_position"] |= places | {"ephemeris_times": moved[:, 6].tolist()}
-    end = "_LIGHTTIME_CORRECTION"
-    kept = {key: value for key, value in content["naif_keywords"].items() if not key.upper().endswith(end)}
-    content |= {"naif_keywords": kept | {f"INS{instrument}{end}": "NONE"}, PROGRAM: words}
+    kept = {key: value for key, value in content["naif_keywords"].items() if "LIGHTTIME_CORR" not in key.upper()}
+    content |= {"naif_keywords": kept | {f"INS{instrument}_LIGHTTIME_CORRECTION": "NONE"}, PROGRAM: words}
     write_file(folder / path.name, json.dumps(content, indent=1, allow_nan=False))
     return [(folder / path.name, path)]
 
@@ -233,17 +232,19 @@ def _with_blobs(path: Path, root: Block, folder: Path, tables: _Tables, time: st
         grown = -(-(len(text) + _BLOCK // 16 - room) // _BLOCK) * _BLOCK
         text = _START.sub(lambda found: f"{found[1]}{int(found[2]) + grown}", text)
         text = _BYTES.sub(lambda found: f"{found[1]}{room + grown}", text)
-    with fresh_file(folder / path.name) as temporary, path.open("rb") as old, temporary.open("w+b") as new:
-        new.write(text.encode("latin-1").ljust(room + grown, b"\0"))
+    with fresh_file(folder / path.name) as temporary, opened(path, ANY_SIZE) as old:
         old.seek(room)
-        shutil.copyfileobj(old, new)
-        new.write(data)
+        with writing_to(folder / path.name), temporary.open("wb") as new:
+            new.write(text.encode("latin-1").ljust(room + grown, b"\0"))
+            shutil.copyfileobj(old, new)
+            new.write(data)
         old.seek(room)
-        new.seek(room + grown)
         behind = file_digest(old, "sha256")
         behind.update(data)
-        if behind.digest() != file_digest(new, "sha256").digest():
-            raise InputError(str(folder / path.name), "bytes that are read back otherwise", f"those of {path}")
+        with opened(temporary, ANY_SIZE) as copy:
+            copy.seek(room + grown)
+            if behind.digest() != file_digest(copy, "sha256").digest():
+                raise InputError(str(folder / path.name), "bytes that are read back otherwise", f"those of {path}")
     return [(folder / path.name, path)]
 
 
@@ -257,20 +258,18 @@ def _table_blobs(root: Block, tables: _Tables, words: str) -> Iterator[_Blob]:
         yield _Blob("Table", name, tuple(keys), fields, rows.astype("<f8").tobytes())
 
 
-def _kept(block: Block) -> Iterator[tuple[str, str]]:
+def _kept(block: Block) -> list[tuple[str, Value]]:
     """Keys of a table that are not renewed, with their values as they stand there."""
     marks = sorted([entry.position for entry in block.entries.values()] + [block.blocks[0].position])
-    for begin, end in pairwise(marks):
-        key, value = block.document.text[begin:end].split("=", 1)
-        if key.strip().lower() not in _RENEWED:
-            yield key.strip(), value.strip()
+    statements = (block.document.text[begin:end].split("=", 1) for begin, end in pairwise(marks))
+    return [(key.strip(), value.strip()) for key, value in statements if key.strip().lower() not in _RENEWED]
 
 
 def _history(path: Path, root: Block, time: str, words: str) -> _Blob:
     """The earlier history and an entry."""
     blocks, before = [block for block in root.blocks if block.name == "history"], b""
     for block in blocks[:1]:
-        with detached_file(path, block).open("rb") as file:
+        with opened(detached_file(path, block), ANY_SIZE) as file:
             file.seek(block.count("StartByte") - 1)
             before = file.read(block.count("Bytes")) + b"\n"
     keys: list[tuple[str, Value]] = [("ExecutionDateTime", time), ("Description", text_value(words, "history"))]

@@ -378,8 +378,8 @@ def has_tables(path: Path, root: Block) -> bool:
     if beside is not None:
         return True
     tables = [block for block in root.blocks if block.name == "table" and block.text("Name") in _TABLES]
-    size = path.stat().st_size
-    return len(tables) == len(_TABLES) and all(table.count("StartByte") <= size for table in tables)
+    files = [(detached_file(path, table), table.count("StartByte")) for table in tables]
+    return len(tables) == len(_TABLES) and all(file.is_file() and start <= file.stat().st_size for file, start in files)
 
 
 def has_pixels(path: Path) -> bool:
