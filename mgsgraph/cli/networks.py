@@ -90,22 +90,23 @@ def convert(
     "NAME-TARGET]",
 )  # fmt: skip
 @click.option("--scaled", is_flag=True, help="Covariances times sigma0 squared, as jigsaw's; else for sigma0 = 1.")
-@click.option("--case", type=PATH, help="The case: its images' files give names and more (csm, asp).")
+@click.option("--case", type=PATH, help="The case: its images' files give names and more (csm, asp), or are the cubes.")
 @click.option(
     "--ties", "networks", type=PATH, multiple=True, metavar="NETWORK",
     help="Network that the points were read from, where it isn't where it was (isis); may be repeated."
 )  # fmt: skip
 @click.option("--raster", is_flag=True, help="Sigmas of new points over the overlap as well, a GeoTIFF (gis).")
 @click.option("--verify", is_flag=True, help="Read kernels back by SPICE alone, say how far they are off (spice).")
+@click.option("--update", is_flag=True, help="Replace the cubes, too, once their copies are read back (cubes).")
 def export(
     solution: Path, names: str, out: Path | None, scaled: bool, case: Path | None, networks: tuple[Path, ...],
-    raster: bool, verify: bool,
+    raster: bool, verify: bool, update: bool,
 ) -> None:  # fmt: skip
     """Write RESULT (of `mgsgraph adjust`) or PROJECT for other programs.
 
     spice: SPK, CK, their frames, clock and camera, and a meta-kernel. csm: image support data and model states of
     usgscsm. isis: control network with adjusted points, lidar data, jigsaw's tables. asp: matches, control points,
-    cameras. gis: a GeoPackage, and with --raster a GeoTIFF.
+    cameras. gis: a GeoPackage, and with --raster a GeoTIFF. cubes: copies of ISIS cubes with adjusted tables.
     """
     from mgsgraph.export.solution_export import (
         ExportSettings,
@@ -125,7 +126,7 @@ def export(
         support = {image.name: case.parent / image.isd for image in images if image.isd is not None}
         files = {image.name: Path(image.pixels or image_file(image)).name for image in images}
     results = results_of(solution)
-    settings = ExportSettings(scaled, support, files, networks, raster, verify)
+    settings = ExportSettings(scaled, support, files, networks, raster, verify, case, update)
     require_supported(targets, settings)
     print_sentences(results.warning)
     several = out is not None and len(set(targets)) > 1

@@ -33,7 +33,7 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
         "project status": ("projects", "Say what is in a project and what its last solution was."),
     },
     "Take along": {
-        "export": ("networks", "Write a solution for other programs: SPICE, CSM, ISIS, Ames Stereo Pipeline, GIS."),
+        "export": ("networks", "Write a solution for other programs: SPICE, CSM, ISIS and its cubes, ASP, GIS."),
         "convert": ("networks", "Convert control networks and tie points: ISIS, Ames Stereo Pipeline, tables."),
         "dem": ("sources", "Make a terrain model with sigmas and an ortho image from adjusted images."),
     },

@@ -1,4 +1,4 @@
-"""Exports of solutions to other programs: SPICE kernels, CSM support data, ISIS, ASP, GIS."""
+"""Exports of solutions to other programs: SPICE kernels, CSM support data, ISIS and its cubes, ASP, GIS."""
 
 from enum import StrEnum
 
@@ -11,6 +11,7 @@ class Target(StrEnum):
     ISIS = "isis"
     ASP = "asp"
     GIS = "gis"
+    CUBES = "cubes"
 
 
 class Format(StrEnum):

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,7 +12,7 @@ import numpy as np
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
 from mgsgraph.export import Target
-from mgsgraph.files.output.folders import EXPORT, PROGRAM, fresh_folder
+from mgsgraph.files.output.folders import EXPORT, PROGRAM, RECORD, fresh_folder
 from mgsgraph.files.output.table import write_json
 from mgsgraph.files.writing import read_record
 from mgsgraph.network import PointClass
@@ -49,6 +50,10 @@ class ExportSettings(Record):
     """Sigmas of new points over the images' overlap, too, as a GeoTIFF."""
     verify: bool = False
     """Read kernels back by SPICE alone, and compare them with the solution."""
+    case: Path | None = None
+    """Case file that names the ISIS cubes; the one that the solution remembers where it is left out."""
+    update: bool = False
+    """Replace these cubes by their adjusted copies, one after another, once all copies are as they should be."""
 
 
 class Exported(NamedTuple):
@@ -122,14 +127,21 @@ def exporting(path: Path, target: Target, out: Path, settings: ExportSettings) -
     require_supported((target,), settings)
     _require_same_target(out, target)
     solution = read_solution(path)
+    if settings.update and not solution.converged:
+        raise InputError(str(path), "a solution that did NOT converge", "one for cubes in place", "leave out --update")
     with fresh_folder(out, EXPORT) as temporary, _called_as_asked(temporary, out):
-        written, notes = _WRITERS[target](solution, temporary, settings, path)
-        names = tuple(sorted(file.relative_to(temporary).as_posix() for file in written))
-        done = Exported(target, out, names, converged=solution.converged, notes=notes)
+        output = _WRITERS[target](solution, temporary, settings, path)
+        names = tuple(sorted(file.relative_to(temporary).as_posix() for file in output.paths))
+        done = Exported(target, out, names, converged=solution.converged, notes=output.notes)
         if settings.verify:
             done = _verified(done, solution, temporary)
         write_json(temporary / EXPORT, _record(done, solution, settings))
+        replaced = [(out / copy.relative_to(temporary), original) for copy, original in output.originals]
         yield done
+    if settings.update:
+        from mgsgraph.export.cubes import replace_cubes
+
+        replace_cubes(replaced)
 
 
 def _verified(done: Exported, solution: Solution, folder: Path) -> Exported:
@@ -196,23 +208,30 @@ _DEFAULT = ExportSettings()
 _USED_BY = {
     "scaled": ("scaled", (Target.ISIS, Target.ASP)), "raster": ("raster", (Target.GIS,)),
     "networks": ("ties", (Target.ISIS,)), "verify": ("verify", (Target.SPICE,)),
-    "support": ("case", (Target.CSM, Target.ASP)), "files": ("case", (Target.CSM, Target.ASP)),
+    **dict.fromkeys(("support", "files", "case"), ("case", (Target.CSM, Target.ASP, Target.CUBES))),
+    "update": ("update", (Target.CUBES,)),
 }  # fmt: skip
 """Option of each setting that not all targets use, and those that do."""
-_Written = tuple[Sequence[Path], tuple[str, ...]]
-"""Files, and what is to be said of them."""
+
+
+class _Written(NamedTuple):
+    """What was written, what is to be said of it, and what of it may replace which files."""
+
+    paths: Sequence[Path]
+    notes: tuple[str, ...] = ()
+    originals: Sequence[tuple[Path, Path]] = ()
 
 
 def _spice(solution: Solution, folder: Path, settings: ExportSettings, path: Path) -> _Written:
     from mgsgraph.export.spice import write_spice
 
-    return write_spice(solution, folder), ()
+    return _Written(write_spice(solution, folder))
 
 
 def _csm(solution: Solution, folder: Path, settings: ExportSettings, path: Path) -> _Written:
     from mgsgraph.export.csm import write_csm
 
-    return write_csm(solution, folder, settings.support, True, settings.files), ()
+    return _Written(write_csm(solution, folder, settings.support, True, settings.files))
 
 
 def _isis(solution: Solution, folder: Path, settings: ExportSettings, path: Path) -> _Written:
@@ -223,7 +242,7 @@ def _isis(solution: Solution, folder: Path, settings: ExportSettings, path: Path
     if settings.networks or np.any(solution.network.points.classes == PointClass.TIE):
         sources = source_networks(path, settings.networks, solution.network.images[0].body)
     output = write_isis(solution, folder, settings.scaled, source=sources.network)
-    return output.paths, (*output.notes, *sources.notes)
+    return _Written(output.paths, (*output.notes, *sources.notes))
 
 
 def _asp(solution: Solution, folder: Path, settings: ExportSettings, path: Path) -> _Written:
@@ -232,7 +251,7 @@ def _asp(solution: Solution, folder: Path, settings: ExportSettings, path: Path)
     from mgsgraph.export.csm import write_csm
 
     cameras = write_csm(solution, folder, settings.support, False, settings.files)
-    return [*cameras, *write_asp(solution, folder, settings.files, scaled=settings.scaled)], ()
+    return _Written([*cameras, *write_asp(solution, folder, settings.files, scaled=settings.scaled)])
 
 
 def _gis(solution: Solution, folder: Path, settings: ExportSettings, path: Path) -> _Written:
@@ -240,7 +259,20 @@ def _gis(solution: Solution, folder: Path, settings: ExportSettings, path: Path)
     from mgsgraph.analysis.posterior import Posterior
     from mgsgraph.export.gis import write_gis
 
-    return write_gis(solution, folder, sigma_grid(Posterior.of(solution)) if settings.raster else None), ()
+    return _Written(write_gis(solution, folder, sigma_grid(Posterior.of(solution)) if settings.raster else None))
+
+
+def _cubes(solution: Solution, folder: Path, settings: ExportSettings, path: Path) -> _Written:
+    from mgsgraph.case.case_file import decode
+    from mgsgraph.export.cubes import write_cubes
+
+    record = (path if path.is_dir() else path.parent) / RECORD
+    case = settings.case or (read_record(record).get("case") if record.is_file() else None)
+    images, folder_of = (decode(Path(case)).images, Path(case).parent) if case else ((), path)
+    files = {image.name: folder_of / str(image.cube or image.label) for image in images if image.cube or image.label}
+    when = datetime.fromtimestamp((record if record.is_file() else path).stat().st_mtime, UTC)
+    paths, notes, new = write_cubes(solution, folder, files, when)
+    return _Written(paths, (*notes, *["Each copy takes the place of its cube, too."] * settings.update), new)
 
 
 _WRITERS: dict[Target, Callable[[Solution, Path, ExportSettings, Path], _Written]] = {
@@ -249,6 +281,7 @@ _WRITERS: dict[Target, Callable[[Solution, Path, ExportSettings, Path], _Written
     Target.ISIS: _isis,
     Target.ASP: _asp,
     Target.GIS: _gis,
+    Target.CUBES: _cubes,
 }
 
 

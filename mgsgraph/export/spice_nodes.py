@@ -65,9 +65,10 @@ class AdjustedNodes:
 
 
 def adjusted_nodes(
-    image: PushbroomImage, correction: OrientationCorrection, covered: tuple[float, float]
-) -> AdjustedNodes:
-    """Nodes from one line to another, halved where interpolation between them is off by more than `TOLERANCE`.
+    image: PushbroomImage, correction: OrientationCorrection, covered: tuple[float, float],
+    tolerance: float = TOLERANCE, body: AttitudeTable | None = None,
+) -> AdjustedNodes:  # fmt: skip
+    """Nodes from one line to another, halved where interpolation between them is off by more than `tolerance`.
 
     Parameters
     ----------
@@ -77,6 +78,11 @@ def adjusted_nodes(
         Of its nominal orientation.
     covered : (float, float)
         First and last line; they may lie outside the image.
+    tolerance : float
+        px, between nodes.
+    body : AttitudeTable, optional
+        The body's rotation, times in s past the trajectory's epoch: the nodes are in its inertial axes then, instead of
+        body-fixed ones.
 
     Raises
     ------
@@ -86,23 +92,25 @@ def adjusted_nodes(
     pixel, distance = _pixel(image, correction)
     times = _first_times(image, correction, covered)
     for _ in range(_HALVINGS):
-        nodes = _nodes(image, correction, times)
-        off = _errors(image, correction, nodes, distance) / pixel
-        wrong = off > TOLERANCE
+        nodes = _nodes(image, correction, times, body)
+        off = _errors(image, correction, nodes, distance, body) / pixel
+        wrong = off > tolerance
         if not wrong.any():
             return AdjustedNodes(*nodes, error=float(off.max()), pixel=pixel)
         previous = nodes[1]
         times = np.sort(np.concatenate([previous, 0.5 * (previous[1:] + previous[:-1])[wrong]]))
     raise InputError(
         f"image {image.name}, orientation", f"{off.max():.3g} px between nodes {np.diff(previous).min():.3g} s apart",
-        f"less than {TOLERANCE} px", "an orientation without jumps",
+        f"less than {tolerance:g} px", "an orientation without jumps",
     )  # fmt: skip
 
 
 _Nodes = tuple[float, Array, Array, Array, Array, Array]
 
 
-def _nodes(image: PushbroomImage, correction: OrientationCorrection, times: Array) -> _Nodes:
+def _nodes(
+    image: PushbroomImage, correction: OrientationCorrection, times: Array, body: AttitudeTable | None = None
+) -> _Nodes:
     """Fields of `AdjustedNodes` but for the error, at times (n,), rounded to those that ephemeris time can hold."""
     epoch = image.trajectory.epoch
     lines = image.timing.lines((times + epoch) - epoch)
@@ -112,7 +120,13 @@ def _nodes(image: PushbroomImage, correction: OrientationCorrection, times: Arra
     pose = image.pose(lines[chosen], correction)
     rate = 1.0 / periods[chosen, None]
     angular_rate = np.einsum("nji,nj->ni", pose.matrix, pose.angular_rate * rate)
-    return epoch, (reached[chosen] + epoch) - epoch, pose.position, pose.velocity * rate, pose.matrix, angular_rate
+    times, velocity = (reached[chosen] + epoch) - epoch, pose.velocity * rate
+    if body is None:
+        return epoch, times, pose.position, velocity, pose.matrix, angular_rate
+    turn, spin = body.at(times)
+    fixed = pose.position, velocity + np.cross(spin, pose.position), angular_rate + spin
+    position, velocity, angular_rate = (np.einsum("nji,nj->ni", turn, vector) for vector in fixed)
+    return epoch, times, position, velocity, pose.matrix @ turn, angular_rate
 
 
 def _first_times(
@@ -157,11 +171,13 @@ def _pixel(image: PushbroomImage, correction: OrientationCorrection) -> tuple[fl
     return float(np.linalg.norm(across, axis=1).min()), float(distance.max())
 
 
-def _errors(image: PushbroomImage, correction: OrientationCorrection, nodes: _Nodes, distance: float) -> Array:
+def _errors(
+    image: PushbroomImage, correction: OrientationCorrection, nodes: _Nodes, distance: float, body: AttitudeTable | None
+) -> Array:
     """(n - 1,) m across the line of sight at most, at which interpolation in each interval misses the ground."""
     _, times, positions, velocities, matrices, _ = nodes
     between = (times[:-1, None] + np.diff(times)[:, None] * _WITHIN).ravel()
-    _, between, true, _, turned, _ = _nodes(image, correction, between)
+    _, between, true, _, turned, _ = _nodes(image, correction, between, body)
     place, _ = PositionTable(times, positions, velocities).at(between)
     matrix, _ = AttitudeTable(times, rotation.from_matrix(matrices), np.eye(3)).at(between)
     angle = np.linalg.norm(rotation.logarithm(turned @ np.swapaxes(matrix, 1, 2)), axis=1)

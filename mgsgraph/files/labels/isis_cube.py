@@ -38,11 +38,13 @@ _JSON_NAMES = {
     "InstrumentPosition": "instrument_position", "InstrumentPointing": "instrument_pointing",
     "BodyRotation": "body_rotation", "SunPosition": "sun_position",
 }  # fmt: skip
-_QUATERNION, _ANGLES = ("J2000Q0", "J2000Q1", "J2000Q2", "J2000Q3"), ("J2000Ang1", "J2000Ang2", "J2000Ang3")
-_POSITION, _VELOCITY = ("J2000X", "J2000Y", "J2000Z"), ("J2000XV", "J2000YV", "J2000ZV")
-_RATES = ("AV1", "AV2", "AV3")
-_COEFFICIENTS = ("J2000SVX", "J2000SVY", "J2000SVZ")
+QUATERNION, ANGLES = ("J2000Q0", "J2000Q1", "J2000Q2", "J2000Q3"), ("J2000Ang1", "J2000Ang2", "J2000Ang3")
+POSITION, VELOCITY = ("J2000X", "J2000Y", "J2000Z"), ("J2000XV", "J2000YV", "J2000ZV")
+RATES = ("AV1", "AV2", "AV3")
+COEFFICIENTS = ("J2000SVX", "J2000SVY", "J2000SVZ")
 _REMEDY = "run spiceinit on the cube again, with its tables attached"
+CORRECTION = "LightTimeCorrection"
+"""Key of a table of positions that says that they are geometric (NONE): ISIS takes positions as they are."""
 _LARGEST = 1e100
 """Larger numbers are ISIS's Null, or none at all."""
 _KAGUYA = -131
@@ -66,6 +68,8 @@ class CubeTable:
     """s TDB past J2000 from which on the label says that it covers; None where it doesn't."""
     last: float | None
     """s TDB past J2000 up to which it does."""
+    geometric: bool = False
+    """Whether its label says that its positions are, whatever keywords of the camera say: `export --to cubes`."""
 
     def stack(self, names: tuple[str, ...]) -> Array:
         """(records, k) of some fields."""
@@ -87,7 +91,7 @@ class CubeTable:
     @property
     def velocities(self) -> Array:
         """(records, 3) km/s."""
-        return self.stack(_VELOCITY)
+        return self.stack(VELOCITY)
 
     @property
     def start(self) -> float:
@@ -113,8 +117,8 @@ def position_table(table: CubeTable, epoch: float) -> PositionTable:
     """Positions in m, inertial, at times in s past an epoch."""
     with errors_from(table.where):
         if table.sampled:
-            return PositionTable(table.times - epoch, table.stack(_POSITION) * KM, table.velocities * KM)
-        times, values, rates = _evaluated(table, _COEFFICIENTS)
+            return PositionTable(table.times - epoch, table.stack(POSITION) * KM, table.velocities * KM)
+        times, values, rates = _evaluated(table, COEFFICIENTS)
         return PositionTable(times - epoch, values * KM, rates * KM)
 
 
@@ -122,8 +126,8 @@ def attitude_table(table: CubeTable, epoch: float) -> AttitudeTable:
     """Attitude, inertial to the wanted frame, at times in s past an epoch."""
     with errors_from(table.where):
         if table.sampled:
-            return AttitudeTable(table.times - epoch, table.stack(_QUATERNION), table.constant)
-        times, angles, _ = _evaluated(table, _ANGLES)
+            return AttitudeTable(table.times - epoch, table.stack(QUATERNION), table.constant)
+        times, angles, _ = _evaluated(table, ANGLES)
         quaternions = rotation.from_matrix(rotation.from_angles_313(angles))
         return AttitudeTable(times - epoch, rotation.continuous(quaternions), table.constant)
 
@@ -163,8 +167,8 @@ def _of_json(table: Any, where: str) -> CubeTable:
         raise InputError(where, repr(table)[:60], "a table")
     columns = dict[str, Array]()
     for key, names in (
-        ("positions", _POSITION), ("velocities", _VELOCITY), ("quaternions", _QUATERNION),
-        ("angular_velocities", _RATES),
+        ("positions", POSITION), ("velocities", VELOCITY), ("quaternions", QUATERNION),
+        ("angular_velocities", RATES),
     ):  # fmt: skip
         if key in table:
             values = _numbers(table[key], (None, len(names)), f"{where}, {key}")
@@ -213,7 +217,7 @@ def _of_cube(path: Path, label: Block, name: str) -> CubeTable:
     if size != records * len(fields) * 8:
         raise InputError(where, f"{size} bytes", f"{records} records of {len(fields)} doubles")
     order = ">" if label.text("ByteOrder").lower() == "msb" else "<"
-    with opened(path, ANY_SIZE) as file:
+    with opened(detached_file(path, label), ANY_SIZE) as file:
         available = max(os.fstat(file.fileno()).st_size - start, 0)
         if available < size:
             remedy = "the cube is cut short, or a label alone: name the cube, or put its tables beside it (.isd)"
@@ -225,12 +229,21 @@ def _of_cube(path: Path, label: Block, name: str) -> CubeTable:
         raise InputError(where, "values that are no numbers", "finite ones")
     kind = "Ck" if "Rotation" in name or "Pointing" in name else "Spk"
     ends = (f"{kind}Table{end}Time" for end in ("Start", "End"))
+    first, last = (label.number(key) if key in label else None for key in ends)
     return CubeTable(
         where,
         {block.text("Name"): numbers[:, k] for k, block in enumerate(fields)},
         np.array(label.numbers("ConstantRotation", 9)).reshape(3, 3) if "ConstantRotation" in label else np.eye(3),
-        *(label.number(key) if key in label else None for key in ends),
+        first, last, CORRECTION in label and label.text(CORRECTION).upper() == "NONE",
     )
+
+
+def detached_file(path: Path, label: Block) -> Path:
+    """File of what an object of a label (Table, History, Core) describes: the label's own, or one in its folder that
+    the object names (^Table = FILE: ISIS Blob::Find, Cube::open).
+    """
+    key = f"^{label.name}"
+    return path.parent / label.text(key) if key in label else path
 
 
 # --- the cube
@@ -274,7 +287,7 @@ def read_isis_cube(
         No cube, a camera that is not known here, no tables (spiceinit wasn't run), or tables that are cut short or of
         another image.
     """
-    label_path, json_path = _files(path)
+    label_path, json_path = cube_files(path)
     root = read_label(label_path)
     if "PDS_VERSION_ID" in root:
         raise InputError(str(path), "a PDS3 label", "an ISIS cube", "name its kernels: label = ..., kernels = [...]")
@@ -288,6 +301,8 @@ def read_isis_cube(
     with errors_from(str(path)):
         keywords = _keywords(content, str(json_path or label_path), label)
         stated = (Aberration("NONE"), "apparent, as ISIS has them") if apparent else None
+        if tables["InstrumentPosition"].geometric:
+            stated = Aberration("NONE"), "as their table says"
         stated = stated or (aberration and (aberration, "as the case says")) or _stated_aberration(keywords, label)
         image = _image(label, keywords, tables, name, *stated)
         return replace(image, remarks=(*image.remarks, *mapped))
@@ -317,9 +332,9 @@ def _odd_rates(label: LineScanLabel, tables: dict[str, CubeTable]) -> Iterator[s
     """A remark, or InputError, where attitudes don't turn as their own angular velocities say."""
     for name, noise in (("InstrumentPointing", MEASURED), ("BodyRotation", 0.0)):
         table = tables[name]
-        if not (table.sampled and set(_RATES) <= set(table.columns)):
+        if not (table.sampled and set(RATES) <= set(table.columns)):
             continue
-        found = turning_otherwise(table.times, table.stack(_QUATERNION), table.stack(_RATES), noise)
+        found = turning_otherwise(table.times, table.stack(QUATERNION), table.stack(RATES), noise)
         if found and label.camera.spacecraft != _KAGUYA:
             raise InputError(table.where, found, remedy="the table is damaged: run spiceinit again")
         if found:
@@ -337,7 +352,7 @@ def _other_constants(label: LineScanLabel, keywords: NaifKeywords) -> Iterator[s
             yield f"{key} is {in_label}, where {label.camera.addendum} has {in_addendum}"
 
 
-def _files(path: Path) -> tuple[Path, Path | None]:
+def cube_files(path: Path) -> tuple[Path, Path | None]:
     """The label, and the JSON that has its tables; None where the file itself has them."""
     if path.suffix.lower() in _JSON:
         label = next((path.with_suffix(end) for end in _LABELS if path.with_suffix(end).is_file()), None)
@@ -359,12 +374,12 @@ def _holds_tables(path: Path) -> bool:
 
 def has_tables(path: Path, root: Block) -> bool:
     """Whether a cube (or the JSON beside its label) has the tables of spiceinit."""
-    _, beside = _files(path)
+    _, beside = cube_files(path)
     if beside is not None:
         return True
     tables = [block for block in root.blocks if block.name == "table" and block.text("Name") in _TABLES]
-    size = path.stat().st_size
-    return len(tables) == len(_TABLES) and all(table.count("StartByte") <= size for table in tables)
+    files = [(detached_file(path, table), table.count("StartByte")) for table in tables]
+    return len(tables) == len(_TABLES) and all(file.is_file() and start <= file.stat().st_size for file, start in files)
 
 
 def has_pixels(path: Path) -> bool:
@@ -383,7 +398,7 @@ def is_cube_json(content: dict[str, Any]) -> bool:
 
 def serial_number(path: Path) -> str:
     """ISIS's serial number of a cube, by its label; see `read_isis_cube` for the files."""
-    label_path, _ = _files(path)
+    label_path, _ = cube_files(path)
     return label_of(label_path, read_label(label_path)).serial
 
 

@@ -1,0 +1,356 @@
+"""ISIS cubes with the adjusted orientation in their tables, as jigsaw's update leaves them; pixels are not touched.
+
+By ISIS (DOI-USGS/ISIS3, isis/src): jigsaw.cpp deletes Polygon and the table CameraStatistics, marks new tables with the
+comment "Jigged = time" and adds to the history. SpiceRotation::Cache and SpicePosition::Cache write quaternions with
+angular velocities, positions with velocities, and the keys of the earlier label less Description and Kernels
+(jigsaw/assets/ap15/jigged_tables.txt). Polynomials over SPICE become samples there, too; coefficients are written in
+place of coefficients alone. Tables are taken as they are: positions (geometric here) and times, to which no bias is
+added (SetTimeBias). Blobs go behind the rest (Cube::write, Blob::Write), or beside a detached label (^Table). Labels
+of cubes have no checksum; their room is what Object = Label says (Cube::writeLabels).
+"""
+
+import json
+import re
+import shutil
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from datetime import datetime
+from hashlib import file_digest
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.atomic_write import resolved
+from mgsgraph.errors import InputError
+from mgsgraph.export.spice_nodes import AdjustedNodes, adjusted_nodes
+from mgsgraph.files.cameras.label import is_map_projected, label_of
+from mgsgraph.files.labels.isis_cube import (
+    ANGLES,
+    COEFFICIENTS,
+    CORRECTION,
+    POSITION,
+    QUATERNION,
+    RATES,
+    VELOCITY,
+    CubeTable,
+    attitude_table,
+    cube_files,
+    detached_file,
+    read_isis_cube,
+    tables_of_json,
+    tables_of_label,
+)
+from mgsgraph.files.opening import ANY_SIZE, opened, read_json, sha256_of
+from mgsgraph.files.output.folders import PROGRAM
+from mgsgraph.files.pvl import Block, Value, keyword_lines, read_label, text_value
+from mgsgraph.files.writing import fresh_file, write_file, writing_to
+from mgsgraph.geometry import rotation
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.orientation import OrientationCorrection
+from mgsgraph.geometry.records import Array
+from mgsgraph.text import listed, many
+from mgsgraph.units import KM
+
+_TOLERANCE, LARGEST = 2e-5, 1e-4
+"""px, by which interpolation between samples may be off, and by which what is read back may."""
+_DEGREES, _PLACES = range(1, 10), (np.arange(5) + 0.5) / 5
+"""Of polynomials, tried in turn; shares of lines and samples at which cameras are compared."""
+_POINTING, _POSITION = _RENEWED_TABLES = "InstrumentPointing", "InstrumentPosition"
+_OUTDATED = {("polygon", ""), ("table", "camerastatistics")}
+"""What says where the earlier orientation has seen the ground."""
+_RENEWED = {"name", "startbyte", "bytes", "records", "byteorder", "cachetype", "description", "kernels", "^table",
+            "^history", CORRECTION.lower()}  # fmt: skip
+_START, _MARK = re.compile(r"(StartByte\s*=\s*)(\d+)"), re.compile(r"^# Jigged = .*\n", re.MULTILINE)
+_BYTES = re.compile(r"^(Object\s*=\s*Label\s+Bytes\s*=\s*)\d+", re.MULTILINE | re.IGNORECASE)
+_END = re.compile(r"^[ \t]*End[ \t]*$", re.MULTILINE | re.IGNORECASE)
+_BLOCK = 65536
+"""bytes; a label that has outgrown its room gets as many more, or a multiple."""
+_REMEDY = "export csm or spice: cubes hold positions and attitudes, camera constants and line times are their own"
+
+
+class _Blob(NamedTuple):
+    """What stands behind a label: its kind, keys of its own, fields of its records, and bytes."""
+
+    kind: str
+    name: str
+    keys: tuple[tuple[str, Value], ...]
+    fields: tuple[str, ...]
+    content: bytes
+
+
+_Tables = Mapping[str, tuple[tuple[str, ...], Array]]
+"""Fields and records by table."""
+_New = list[tuple[Path, Path]]
+"""Files, each with the one that it may replace, in this order."""
+
+
+def write_cubes(
+    solution: Solution, folder: Path, sources: Mapping[str, Path], when: datetime
+) -> tuple[list[Path], tuple[str, ...], _New]:
+    """Write an adjusted copy of each image's cube into an existing folder, read it back and compare.
+
+    Parameters
+    ----------
+    solution : Solution
+        What was adjusted.
+    folder : Path
+        Where to; copies are called like their cubes.
+    sources : mapping
+        By image: its cube, detached label, or label with its tables as JSON beside it.
+    when : datetime
+        Of the adjustment, for marks and history.
+
+    Returns
+    -------
+    paths : list of Path
+        What was written.
+    notes : tuple of str
+        What holds for them.
+    new : list of (Path, Path)
+        New files, each with the one that it may replace, in this order.
+
+    Raises
+    ------
+    InputError
+        An image without cube; two cubes of one name; a cube that `read_isis_cube` refuses; a camera that is not the
+        solution's to `LARGEST`, since its constants were adjusted, too; a file that can't be written.
+    """
+    paths, originals, biased, mapped, largest = list[Path](), list[tuple[Path, Path]](), list[str](), list[str](), 0.0
+    for j, image in enumerate(solution.network.images):
+        if image.name not in sources:
+            raise InputError(f"image {image.name}", "no ISIS cube of it", "one", "name the case that has it (--case)")
+        source = cube_files(sources[image.name])
+        root = read_label(source[0])
+        label, picture = label_of(source[0], root), solution.image(j)
+        biased += [image.name] * (label.camera.attitude_bias != 0.0)
+        mapped += [image.name] * is_map_projected(root)
+        if folder / source[0].name in paths:
+            raise InputError(str(source[0]), f"another image's file called {source[0].name}", "names that differ")
+        words = _description(solution, label.camera.attitude_bias)
+        tables = _adjusted(picture, solution.correction(j), _tables(*source, root))
+        if source[1] is not None:
+            new = _with_json(source[1], folder, tables, label.camera.instrument, words)
+        else:
+            new = _with_blobs(source[0], root, folder, tables, f"{when:%Y-%m-%dT%H:%M:%S}", words)
+        paths += [Path(shutil.copyfile(file, folder / file.name)) for file in _files_of(*source, root)]
+        paths += [copy for copy, _ in new]
+        originals += new
+        largest = max(largest, _compared(folder / source[0].name, picture, solution.correction(j)))
+    return paths, tuple(_notes(len(solution.network.images), largest, biased, mapped)), originals
+
+
+def _description(solution: Solution, bias: float) -> str:
+    """What copies say of themselves."""
+    state = "converged" if solution.converged else "NOT converged"
+    once = f"; times hold the attitude bias of {bias:g} s once" if bias else ""
+    return f"{PROGRAM} {solution.versions.get(PROGRAM, '')}: adjusted, {state}; positions are geometric{once}"
+
+
+def _notes(count: int, largest: float, biased: list[str], mapped: list[str]) -> Iterator[str]:
+    yield f"Read back, {many(count, 'camera')} see 25 pixels within {largest:.1g} px of where the solution has them."
+    if biased:
+        yield f"{listed(biased)}: attitude times hold MOC's -1.15 s once, as before; ISIS adds none to tables."
+    if mapped:
+        yield f"{listed(mapped)}: a map, whose pixels stay where the earlier orientation has put them."
+
+
+# --- tables
+
+
+def _tables(path: Path, beside: Path | None, root: Block) -> dict[str, CubeTable]:
+    """The cube's own, whose body rotation and constant rotation stay."""
+    tables = tables_of_json(read_json(beside), str(beside)) if beside else tables_of_label(path, root)
+    if missing := {*_RENEWED_TABLES, "BodyRotation"} - tables.keys():
+        raise InputError(str(path), f"no table {min(missing)}", "those of spiceinit", "run spiceinit with attach=yes")
+    return tables
+
+
+def _adjusted(image: PushbroomImage, correction: OrientationCorrection, tables: dict[str, CubeTable]) -> _Tables:
+    """Samples, or polynomials in place of such, over the time of the earlier positions; km, km/s, rad/s, s TDB past
+    J2000.
+    """
+    epoch, position = image.trajectory.epoch, tables[_POSITION]
+    first, last = image.timing.lines(np.array([position.start, position.stop]) - epoch).tolist()
+    body = attitude_table(tables["BodyRotation"], epoch)
+    nodes = adjusted_nodes(image, correction, (first, last), _TOLERANCE, body)
+    matrices, times = tables[_POINTING].constant.T @ nodes.matrices, (nodes.times + nodes.epoch)[:, None]
+    places, quaternions = nodes.positions / KM, rotation.continuous(rotation.from_matrix(matrices))
+    made: dict[str, tuple[tuple[str, ...], Array]] = {
+        _POINTING: ((*QUATERNION, *RATES, "ET"), np.hstack([quaternions, nodes.angular_rate, times])),
+        _POSITION: ((*POSITION, *VELOCITY, "ET"), np.hstack([places, nodes.velocities / KM, times])),
+    }
+    angles = np.unwrap(rotation.angles_313(matrices), axis=0)
+    forms = (_POINTING, ANGLES, angles, image.pixel_angle), (_POSITION, COEFFICIENTS, places, nodes.pixel / KM)
+    for name, fields, values, scale in forms:
+        if not tables[name].sampled and (rows := _polynomials(nodes, values, _TOLERANCE * scale)) is not None:
+            made[name] = fields, rows
+    return made
+
+
+def _polynomials(nodes: AdjustedNodes, values: Array, tolerance: float) -> Array | None:
+    """Coefficients of the lowest degree that does, and below them base time, time scale and degree; None without."""
+    base, scale = 0.5 * (nodes.times[0] + nodes.times[-1]), 0.5 * (nodes.times[-1] - nodes.times[0])
+    scaled = (nodes.times - base) / scale
+    for degree in _DEGREES:
+        found = np.polynomial.polynomial.polyfit(scaled, values, degree)
+        if np.abs(np.polynomial.polynomial.polyval(scaled, found).T - values).max() <= tolerance:
+            return np.vstack([found, [base + nodes.epoch, scale, degree]])
+    return None
+
+
+# --- files
+
+def _with_json(path: Path, folder: Path, tables: _Tables, instrument: int, words: str) -> _New:
+    """The label as it is, and the JSON with other tables."""
+    content = read_json(path)
+    (_, turned), (_, moved) = tables[_POINTING], tables[_POSITION]
+    attitudes = {"quaternions": turned[:, :4].tolist(), "angular_velocities": turned[:, 4:7].tolist()}
+    content["instrument_pointing"] |= attitudes | {"ephemeris_times": turned[:, 7].tolist()}
+    places = {"positions": moved[:, :3].tolist(), "velocities": moved[:, 3:6].tolist()}
+    content["instrument_position"] |= places | {"ephemeris_times": moved[:, 6].tolist()}
+    kept = {key: value for key, value in content["naif_keywords"].items() if "LIGHTTIME_CORR" not in key.upper()}
+    content |= {"naif_keywords": kept | {f"INS{instrument}_LIGHTTIME_CORRECTION": "NONE"}, PROGRAM: words}
+    write_file(folder / path.name, json.dumps(content, indent=1, allow_nan=False))
+    return [(folder / path.name, path)]
+
+
+def _with_blobs(path: Path, root: Block, folder: Path, tables: _Tables, time: str, words: str) -> _New:
+    """A cube with other tables behind it, or a detached label with a file of them."""
+    blobs = [*_table_blobs(root, tables, words), _history(path, root, time, words)]
+    data = b"".join(blob.content for blob in blobs)
+    if detached_file(path, root.inner("IsisCube").inner("Core")) != path:
+        beside = f"{path.stem}.{zlib.crc32(data):08x}.tables"
+        write_file(folder / beside, data)
+        write_file(folder / path.name, _relabelled(root, blobs, 0, time, beside).encode("latin-1"))
+        return [(folder / beside, path.with_name(beside)), (folder / path.name, path)]
+    text, room, grown = _relabelled(root, blobs, path.stat().st_size, time), _room(root), 0
+    if len(text) >= room:
+        grown = -(-(len(text) + _BLOCK // 16 - room) // _BLOCK) * _BLOCK
+        text = _START.sub(lambda found: f"{found[1]}{int(found[2]) + grown}", text)
+        text = _BYTES.sub(lambda found: f"{found[1]}{room + grown}", text)
+    with fresh_file(folder / path.name) as temporary, opened(path, ANY_SIZE) as old:
+        old.seek(room)
+        with writing_to(folder / path.name), temporary.open("wb") as new:
+            new.write(text.encode("latin-1").ljust(room + grown, b"\0"))
+            shutil.copyfileobj(old, new)
+            new.write(data)
+        old.seek(room)
+        behind = file_digest(old, "sha256")
+        behind.update(data)
+        with opened(temporary, ANY_SIZE) as copy:
+            copy.seek(room + grown)
+            if behind.digest() != file_digest(copy, "sha256").digest():
+                raise InputError(str(folder / path.name), "bytes that are read back otherwise", f"those of {path}")
+    return [(folder / path.name, path)]
+
+
+def _table_blobs(root: Block, tables: _Tables, words: str) -> Iterator[_Blob]:
+    of_key = {_key(block): block for block in root.blocks}
+    for name, (fields, rows) in tables.items():
+        kind = "HermiteSpline" if "ET" in fields else "PolyFunction"
+        cache = [("CacheType", kind), (CORRECTION, "NONE")] if name == _POSITION else []
+        keys = [("Records", str(len(rows))), ("ByteOrder", "Lsb"), *cache, *_kept(of_key["table", name.lower()])]
+        keys.append(("Description", text_value(words, name)))
+        yield _Blob("Table", name, tuple(keys), fields, rows.astype("<f8").tobytes())
+
+
+def _kept(block: Block) -> list[tuple[str, Value]]:
+    """Keys of a table that are not renewed, with their values as they stand there."""
+    marks = sorted([entry.position for entry in block.entries.values()] + [block.blocks[0].position])
+    statements = (block.document.text[begin:end].split("=", 1) for begin, end in pairwise(marks))
+    return [(key.strip(), value.strip()) for key, value in statements if key.strip().lower() not in _RENEWED]
+
+
+def _history(path: Path, root: Block, time: str, words: str) -> _Blob:
+    """The earlier history and an entry."""
+    blocks, before = [block for block in root.blocks if block.name == "history"], b""
+    for block in blocks[:1]:
+        with opened(detached_file(path, block), ANY_SIZE) as file:
+            file.seek(block.count("StartByte") - 1)
+            before = file.read(block.count("Bytes")) + b"\n"
+    keys: list[tuple[str, Value]] = [("ExecutionDateTime", time), ("Description", text_value(words, "history"))]
+    entry = "\n".join([f"Object = {PROGRAM}", *keyword_lines(keys, 2), "End_Object", ""])
+    return _Blob("History", blocks[0].text("Name") if blocks else "IsisCube", (), (), before + entry.encode())
+
+
+# --- the label
+
+
+def _relabelled(root: Block, blobs: list[_Blob], start: int, time: str, beside: str = "") -> str:
+    """The label's text with other objects for what begins behind so many bytes, in the file or one beside it."""
+    text, texts = root.document.text, dict[tuple[str, str], str]()
+    for blob in blobs:
+        texts[blob.kind.lower(), blob.name.lower()] = _object_text(blob, start + 1, time, beside)
+        start += len(blob.content)
+    last = _END.search(text, root.blocks[-1].position)
+    bounds, pieces = [block.position for block in root.blocks] + [last.start() if last else len(text)], list[str]()
+    for block, (begin, end) in zip(root.blocks, pairwise(bounds), strict=True):
+        if (key := _key(block)) not in _OUTDATED:
+            pieces.append(texts.pop(key, _MARK.sub("", text[begin:end])))
+    return "".join([*pieces, *texts.values(), "End\n"])
+
+
+def _key(block: Block) -> tuple[str, str]:
+    return block.name, block.text("Name").lower() if block.name in ("table", "history") else ""
+
+
+def _object_text(blob: _Blob, start: int, time: str, beside: str) -> str:
+    keys = [("Name", blob.name), ("StartByte", str(start)), ("Bytes", str(len(blob.content))), *blob.keys]
+    keys += [(f"^{blob.kind}", text_value(beside, beside))] if beside else []
+    lines = [f"# Jigged = {time}"] * (blob.kind == "Table") + [f"Object = {blob.kind}", *keyword_lines(keys, 2)]
+    for field in blob.fields:
+        lines += ["", "  Group = Field", f"    Name = {field}", "    Type = Double", "    Size = 1", "  End_Group"]
+    return "\n".join([*lines, "End_Object", "", ""])
+
+
+def _room(root: Block) -> int:
+    """Bytes that are the label's own: as it says, or what is before the first byte of anything else."""
+    starts = [int(start) - 1 for _, start in _START.findall(root.document.text)]
+    return min([block.count("Bytes") for block in root.blocks if block.name == "label"] + starts)
+
+
+def _files_of(path: Path, beside: Path | None, root: Block) -> set[Path]:
+    """Files of a cube that stay as they are: the label of JSON, what a detached one names beside the new tables."""
+    renewed, core = {("table", name.lower()) for name in _RENEWED_TABLES}, root.inner("IsisCube").inner("Core")
+    kept = [block for block in root.blocks if block.name != "history" and _key(block) not in renewed]
+    return {path} if beside else {detached_file(path, block) for block in (core, *kept)} - {path}
+
+
+# --- in place
+
+
+def replace_cubes(pairs: Sequence[tuple[Path, Path]]) -> None:
+    """Let copies take the places of their originals, each in one step and in this order, once all are beside them.
+
+    Raises
+    ------
+    InputError
+        Where one can't be written; what has no copy in its place by then is as it was.
+    """
+    with ExitStack() as stack:
+        for copy, original in reversed(pairs):  # the last one entered is the first one put
+            target = resolved(original, "name the file itself")
+            temporary = stack.enter_context(fresh_file(target, "a cube that may be replaced", "leave out --update"))
+            shutil.copyfile(copy, temporary)
+            shutil.copymode(target if target.exists() else copy, temporary)
+            if sha256_of(temporary) != sha256_of(copy):
+                raise InputError(str(target), "a copy that is read back otherwise", f"{copy}, byte for byte")
+
+
+# --- read back
+
+
+def _compared(path: Path, image: PushbroomImage, correction: OrientationCorrection) -> float:
+    """px, largest distance at 25 pixels of the copy's camera from the solution's; InputError where it is too large."""
+    lines, samples = (axis.ravel() for axis in np.meshgrid(_PLACES * image.lines, _PLACES * image.samples))
+    ground, _ = image.image_to_ground(lines, samples, 0.0, correction)
+    seen, _ = read_isis_cube(path, image.name).ground_to_image(ground)
+    off = np.linalg.norm(seen - np.column_stack([lines, samples]), axis=1)[np.isfinite(ground).all(axis=1)]
+    largest = float(off.max()) if off.size else np.nan
+    if not largest <= LARGEST:
+        raise InputError(str(path), f"a camera {largest:.3g} px off the solution's", f"at most {LARGEST:g} px", _REMEDY)
+    return largest
