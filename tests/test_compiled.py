@@ -11,11 +11,36 @@ import pytest
 from mgsgraph.matching import equations
 
 ASK = """
+import numba  # else it runs as plain Python, for so few matrices
 from mgsgraph.geometry import compiled_pose, rotation
 rotation.from_matrix(__import__("numpy").eye(3))
 stats = compiled_pose.quaternions.stats
 print(sum(stats.cache_hits.values()), sum(stats.cache_misses.values()))
 """
+
+
+FEW = """
+import pickle
+import sys
+import numpy as np
+from mgsgraph.geometry import compiled_pose, rotation
+assert pickle.loads(pickle.dumps(compiled_pose.quaternions)) is compiled_pose.quaternions
+matrices = np.linalg.qr(np.random.default_rng(1).normal(size=(400, 3, 3)))[0]
+matrices *= np.linalg.det(matrices)[:, None, None]
+first, second = rotation.from_matrix(matrices), rotation.from_matrix(matrices)
+assert "numba" not in sys.modules
+assert np.isnan(rotation.from_matrix(np.full((1, 3, 3), np.inf))).all()
+third = rotation.from_matrix(matrices)
+assert compiled_pose.quaternions.signatures
+print("numba" in sys.modules, np.array_equal(first, second), 1e-15 > np.abs(first - third).max())
+"""
+
+
+def test_the_first_few_items_of_a_process_need_no_compiler() -> None:
+    """More than a thousand in all do; results differ by rounding, and nothing is a warning in either."""
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    done = subprocess.run([sys.executable, "-W", "error", "-c", FEW], env=environment, capture_output=True, text=True)
+    assert done.stdout.split() == ["True", "True", "True"], done.stderr
 
 
 def test_one_process_compiles_what_several_need(tmp_path: Path) -> None:

@@ -71,6 +71,13 @@ def test_looking_at_a_project_loads_no_solver(project: Path) -> None:
     assert solver == {f"mgsgraph.adjustment.{name}" for name in ("settings", "incremental", "incremental.state")}
 
 
+def test_a_pixel_of_a_case_is_projected_without_compiler_and_solver(case_file: Path) -> None:
+    there = loaded("locate", case_file, "SIM/A", "--pixel", "10", "10", "--ellipsoid")
+    assert "mgsgraph.geometry.compiled_pose" in there
+    assert not {name.split(".")[0] for name in there} & HEAVY
+    assert not [name for name in there if name.startswith(("mgsgraph.kernel.sweep", "mgsgraph.adjustment.graph"))]
+
+
 def refused(project: Path, said: str, *arguments: str | Path) -> None:
     """One line, and nothing has changed."""
     before = state(project)
