@@ -108,8 +108,8 @@ def make_equations_compilable() -> None:
 
 
 class _Deferred:
-    """Stands for a function's numba dispatcher, which is not made before it is called or asked for something: numba
-    takes long to import. Compiled code takes it for that dispatcher.
+    """Stands for a function's numba dispatcher, which is not made before it is called or asked for something, as
+    compiled code does, for its type: numba takes long to import.
     """
 
     def __init__(self, function: Callable[..., Any], make: Callable[[], Any], plain: bool = False) -> None:
@@ -119,7 +119,7 @@ class _Deferred:
     @cached_property
     def dispatcher(self) -> Any:
         """Numba's; the function itself where it compiles nothing (NUMBA_DISABLE_JIT)."""
-        _prepare_numba()
+        _watch_compiler()
         return self._make()
 
     def __call__(self, *arguments: Any) -> Any:
@@ -135,6 +135,12 @@ class _Deferred:
 
     def __reduce__(self) -> str:
         return self.py_func.__qualname__
+
+
+class _Kernel(_Deferred):
+    """The same of what Python calls; compiled code can't."""
+
+    _numba_type_ = None
 
 
 _FEW = 1000
@@ -214,16 +220,28 @@ def cached_kernel(function: Function, plain: bool = False, **options: Any) -> Fu
     Numba looks for changes in the function's file alone; this cache looks at all files of its folder and of `factors`
     (`sources_of`). Of processes that need a kernel at once one compiles it, and the others wait for what it stores.
     """
-    return cast(Function, _Deferred(function, lambda: _with_cache(function, options), plain))
+    return cast(Function, _Kernel(function, lambda: _with_cache(function, options), plain))
 
 
 def _with_cache(function: Callable[..., Any], options: dict[str, Any]) -> Any:
     """Numba's dispatcher of a function that Python calls."""
     from numba import njit
-    from numba.core.caching import FunctionCache
+    from numba.core.caching import CompileResultCacheImpl, FunctionCache
+    from numba.core.codegen import ll
     from numba.core.runtime.nrt import rtsys
 
+    class Code(CompileResultCacheImpl):
+        def reduce(self, data: Any) -> Any:
+            """Machine code without the bitcode that it is made from, which would take longer to load: only compiled
+            code that calls a kernel would need it, and none does. What remains says that there is a function.
+            """
+            (name, kind, (code, _)), *more = super().reduce(data)
+            stub = f'define void @"{data.fndesc.llvm_cpython_wrapper_name}"() {{ ret void }}'
+            return (name, kind, (code, ll.parse_assembly(stub).as_bitcode())), *more
+
     class Cache(FunctionCache):
+        _impl_class = Code
+
         def __init__(self, function: Callable[..., Any]) -> None:
             super().__init__(function)
             self._cache_file._version += digest  # compared before anything is unpickled: classes may be gone or renamed
@@ -318,12 +336,9 @@ def is_compiling() -> bool:
 
 
 @cache
-def _prepare_numba() -> None:
-    """Let numba take what is deferred for its dispatcher, and say when it begins and ends to compile a function."""
+def _watch_compiler() -> None:
+    """Let numba say when it begins to compile a function and when it has."""
     from numba.core import event
-    from numba.extending import typeof_impl
-
-    typeof_impl.register(_Deferred)(lambda deferred, context: typeof_impl(deferred.dispatcher, context))
 
     class Counting(event.Listener):
         def on_start(self, event: Any) -> None:

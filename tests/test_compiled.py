@@ -1,13 +1,16 @@
 """Kernels: what is compiled once, by whom, and what compiled code alone calls."""
 
 import os
+import pickle
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numba.core.errors import TypingError
 
+from mgsgraph.compiled import cached_kernel
 from mgsgraph.matching import equations
 
 ASK = """
@@ -51,6 +54,28 @@ def test_one_process_compiles_what_several_need(tmp_path: Path) -> None:
     ]
     said = sorted(one.communicate(timeout=300)[0].split() for one in asking)
     assert said == [["0", "1"], ["1", "0"], ["1", "0"]]
+    (stored,) = tmp_path.rglob("*.nbc")
+    (_, _, (code, bitcode)), *_ = pickle.loads(stored.read_bytes())
+    assert len(bitcode) < 2000 < len(code)  # the latter alone is needed
+
+
+@cached_kernel
+def inner(value):
+    """Twice a number."""
+    return 2.0 * value
+
+
+@cached_kernel
+def outer(value):
+    """Four times a number."""
+    return inner(inner(value))
+
+
+def test_kernels_do_not_call_each_other() -> None:
+    """They are cached without what a caller would need."""
+    assert inner(1.0) == 2.0
+    with pytest.raises(TypingError, match="inner"):
+        outer(1.0)
 
 
 def test_python_is_refused_by_what_compiled_code_alone_calls() -> None:
