@@ -9,6 +9,7 @@ Kuonen 1999, Biometrika 86, 929), and else that of a multiple of chi-square with
 
 import math
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 
@@ -54,6 +55,7 @@ class GroupTest(Record):
     weights: Array = field(default_factory=lambda: np.zeros(0), repr=False, compare=False)
     """(k,) eigenvalues of their residuals' covariance C, or of many of them tr C^2 / tr C alone."""
 
+    @lru_cache(maxsize=256)  # noqa: B019  sentences, tables and summary ask for the same ones; few are kept
     def hidden_factor(self, level: float, power: float) -> float:
         """Errors larger than stated by this factor are found with a power by a test of a level; infinite where nothing
         tests the group.
