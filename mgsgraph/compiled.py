@@ -227,7 +227,7 @@ def _with_cache(function: Callable[..., Any], options: dict[str, Any]) -> Any:
     """Numba's dispatcher of a function that Python calls."""
     from numba import njit
     from numba.core.caching import CompileResultCacheImpl, FunctionCache
-    from numba.core.codegen import ll
+    from numba.core.codegen import ll  # type: ignore[attr-defined]
     from numba.core.runtime.nrt import rtsys
 
     class Code(CompileResultCacheImpl):

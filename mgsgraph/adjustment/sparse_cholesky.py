@@ -190,11 +190,11 @@ class _Cliques(NamedTuple):
 
 def _best_cliques(pairs: Index, width: Index) -> _Cliques:
     """Those of Colamd's order; where they take long, of METIS's, if they take less. Variables that all share rows with
-    each other are one clique in any order.
+    each other are one clique in any order; the one here is Colamd's.
     """
     variables = np.unique(pairs)
     if len(pairs) == variables.size * (variables.size + 1) // 2:
-        return _cliques(variables, pairs, width)
+        return _cliques(np.roll(variables[::-1], 1), pairs, width)
     import gtsam  # slow to import
 
     graph = gtsam.SymbolicFactorGraph()
