@@ -1,10 +1,8 @@
 """Rows of one image ray by compiled code: what `projection.ImageRay` calls, a hundred times as fast as in Python."""
 
-from mgsgraph.compiled import cached_kernel, compiled, make_equations_compilable
+from mgsgraph.compiled import cached_kernel, compiled
 from mgsgraph.factors.collinearity import ray_rows
 from mgsgraph.factors.pose import turned_about_axes
-
-make_equations_compilable()
 
 
 @compiled

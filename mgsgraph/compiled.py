@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from functools import cache
+from functools import cache, cached_property, update_wrapper
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -89,9 +89,8 @@ _equations: list[Callable[..., Any]] = []
 
 
 def equation(function: Function) -> Function:
-    """A measurement equation: a pure function of floats and tuples, which stays what it is for Python and NumPy arrays.
-
-    Compiled code may call it once `make_equations_compilable` has been called; importing it does not import numba.
+    """A measurement equation, or a part of a kernel that Python may call, too: a pure function of floats and tuples,
+    which stays what it is for Python and NumPy arrays. Importing it does not import numba.
     """
     _equations.append(function)
     return function
@@ -108,11 +107,63 @@ def make_equations_compilable() -> None:
         compilable(_equations.pop())
 
 
+class _Deferred:
+    """Stands for a function's numba dispatcher, which is not made before it is called or asked for something, as
+    compiled code does, for its type: numba takes long to import.
+    """
+
+    def __init__(self, function: Callable[..., Any], make: Callable[[], Any], plain: bool = False) -> None:
+        update_wrapper(self, function)
+        self.py_func, self._make, self._plain = function, make, plain
+
+    @cached_property
+    def dispatcher(self) -> Any:
+        """Numba's; the function itself where it compiles nothing (NUMBA_DISABLE_JIT)."""
+        _watch_compiler()
+        return self._make()
+
+    def __call__(self, *arguments: Any) -> Any:
+        if self._plain and "numba" not in sys.modules and _few(len(arguments[0])):
+            import numpy as np
+
+            with np.errstate(all="ignore"):
+                return self.py_func(*arguments)
+        return self.dispatcher(*arguments)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.dispatcher, name)
+
+    def __reduce__(self) -> str:
+        return self.py_func.__qualname__
+
+
+class _Kernel(_Deferred):
+    """The same of what Python calls; compiled code can't."""
+
+    _numba_type_ = None
+
+
+_FEW = 1000
+"""Items of all loops that plain Python does in a process, in 0.05 s or less; numba takes 0.3 s to be loaded."""
+_done = 0
+
+
+def _few(items: int) -> bool:
+    """Whether so many items more are few."""
+    global _done
+    _done += items
+    return _done <= _FEW
+
+
 def compiled(function: Function) -> Function:
     """Compile a part of a kernel, which compiled code alone calls; division by zero gives inf, as in NumPy."""
-    from numba import njit
 
-    return cast(Function, njit(**options_of_parts())(function))
+    def make() -> Any:
+        from numba import njit
+
+        return njit(**options_of_parts())(function)
+
+    return cast(Function, _Deferred(function, make))
 
 
 def options_of_parts() -> dict[str, Any]:
@@ -161,19 +212,36 @@ def compiler_of_parts() -> type:
     return CompilerOfParts
 
 
-def cached_kernel(function: Function, **options: Any) -> Function:
+def cached_kernel(function: Function, plain: bool = False, **options: Any) -> Function:
     """Compile a function that Python calls, as `compiled` does, and cache it on disk; `options` of `numba.njit`.
+    A `plain` one, a loop over its first argument, runs as Python where the process has needed no compiled code so far
+    and little is to be done (`_few`); results differ by rounding.
 
     Numba looks for changes in the function's file alone; this cache looks at all files of its folder and of `factors`
     (`sources_of`). Of processes that need a kernel at once one compiles it, and the others wait for what it stores.
     """
+    return cast(Function, _Kernel(function, lambda: _with_cache(function, options), plain))
+
+
+def _with_cache(function: Callable[..., Any], options: dict[str, Any]) -> Any:
+    """Numba's dispatcher of a function that Python calls."""
     from numba import njit
-    from numba.core.caching import FunctionCache
+    from numba.core.caching import CompileResultCacheImpl, FunctionCache
+    from numba.core.codegen import ll  # type: ignore[attr-defined]
     from numba.core.runtime.nrt import rtsys
 
-    _watch_compiler()
+    class Code(CompileResultCacheImpl):
+        def reduce(self, data: Any) -> Any:
+            """Machine code without the bitcode that it is made from, which would take longer to load: only compiled
+            code that calls a kernel would need it, and none does. What remains says that there is a function.
+            """
+            (name, kind, (code, _)), *more = super().reduce(data)
+            stub = f'define void @"{data.fndesc.llvm_cpython_wrapper_name}"() {{ ret void }}'
+            return (name, kind, (code, ll.parse_assembly(stub).as_bitcode())), *more
 
     class Cache(FunctionCache):
+        _impl_class = Code
+
         def __init__(self, function: Callable[..., Any]) -> None:
             super().__init__(function)
             self._cache_file._version += digest  # compared before anything is unpickled: classes may be gone or renamed
@@ -186,6 +254,8 @@ def cached_kernel(function: Function, **options: Any) -> Function:
                 found = self._from_disk(signature, target)
             if found is not None:
                 self.end_turn()
+            else:
+                make_equations_compilable()
             return found
 
         def _from_disk(self, signature: Any, target: Any) -> Any:
@@ -209,7 +279,7 @@ def cached_kernel(function: Function, **options: Any) -> Function:
     kernel = njit(nogil=True, error_model="numpy", **options)(function)
     if hasattr(kernel, "enable_caching"):  # else it is plain Python (NUMBA_DISABLE_JIT)
         kernel._cache = Cache(function)
-    return cast(Function, kernel)
+    return kernel
 
 
 def _take_turn(path: Path) -> int:

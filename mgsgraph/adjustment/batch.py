@@ -23,8 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.adjustment.graph.forms import BundleGraph, Solving
-from mgsgraph.adjustment.optimize import Iteration
-from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.settings import Iteration, SolverSettings
 from mgsgraph.adjustment.sparse_cholesky import NotDefinite
 from mgsgraph.errors import Unsolvable
 from mgsgraph.geometry.records import Array

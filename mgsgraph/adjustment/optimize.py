@@ -14,6 +14,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from mgsgraph.adjustment.settings import Iteration
 from mgsgraph.errors import InputError, WeakNetwork
 from mgsgraph.geometry.records import Array
 from mgsgraph.record import Record, card
@@ -22,33 +23,6 @@ from mgsgraph.workers import no_progress
 _FIRST_DAMPING, _LEAST, _MOST = 1e-8, 1e-12, 1e8
 _HARDLY_DAMPED = 1e-6
 """Length up to which a step is the distance to the minimum."""
-
-
-@dataclass(frozen=True, slots=True)
-class Iteration(Record):
-    """One step that was tried.
-
-    Examples
-    --------
-    >>> first = solution.history[0]
-    >>> first.number, first.accepted, round(first.cost, 1)
-    (1, True, 44.9)
-    """
-
-    number: int
-    """Counted from 1."""
-    cost: float
-    """Half the weighted sum of squares (or of the loss) after the step."""
-    decrease: float
-    """Cost before minus cost after."""
-    predicted: float
-    """Decrease that the linear model predicted."""
-    step: float
-    """Length of the step in posterior sigmas: the square root of minus gradient times step."""
-    damping: float
-    """Levenberg-Marquardt damping, in inverse squared scales."""
-    accepted: bool
-    """Whether the step was taken."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -23,8 +23,7 @@ from mgsgraph.adjustment.graph import BundleGraph, Layout
 from mgsgraph.adjustment.graph.forms import IN_PROCESS, Sweeper
 from mgsgraph.adjustment.graph.rays import followed
 from mgsgraph.adjustment.graph.stereo import require_seen
-from mgsgraph.adjustment.optimize import Iteration
-from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.settings import Iteration, SolverSettings
 from mgsgraph.errors import PointBehindCamera, SolverError, Unsolvable
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.records import Array, Index, Mask

@@ -22,6 +22,33 @@ LOSS_WIDTHS = {"none": math.inf, "huber": HUBER_WIDTH, "cauchy": 2.3849, "tukey"
 
 
 @dataclass(frozen=True, slots=True)
+class Iteration(Record):
+    """One step that was tried.
+
+    Examples
+    --------
+    >>> first = solution.history[0]
+    >>> first.number, first.accepted, round(first.cost, 1)
+    (1, True, 44.9)
+    """
+
+    number: int
+    """Counted from 1."""
+    cost: float
+    """Half the weighted sum of squares (or of the loss) after the step."""
+    decrease: float
+    """Cost before minus cost after."""
+    predicted: float
+    """Decrease that the linear model predicted."""
+    step: float
+    """Length of the step in posterior sigmas: the square root of minus gradient times step."""
+    damping: float
+    """Levenberg-Marquardt damping, in inverse squared scales."""
+    accepted: bool
+    """Whether the step was taken."""
+
+
+@dataclass(frozen=True, slots=True)
 class SolverSettings(Record):
     """Choices of one adjustment.
 

@@ -11,8 +11,7 @@ from mgsgraph.adjustment.drivers import Drivers
 from mgsgraph.adjustment.fit import Fit, Strained, strained_orientations
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.multistart import Minima
-from mgsgraph.adjustment.optimize import Iteration
-from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.settings import Iteration, SolverSettings
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import in_turn
 from mgsgraph.geometry.image import PushbroomImage

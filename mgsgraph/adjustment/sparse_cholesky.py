@@ -8,15 +8,17 @@ work is used: on a grid of 70,000 images it takes 0.6 of it, on 3,000 images it 
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-import gtsam
 import numpy as np
 from scipy.linalg import blas, lapack
 
 from mgsgraph.adjustment.marginals import SquareRoot, begins, many_threads, one_thread
 from mgsgraph.compiled import cached_kernel
 from mgsgraph.geometry.records import Array, Index
+
+if TYPE_CHECKING:
+    import gtsam
 
 _RELAXED = 0.2
 """Share of a front's rows that may be zeros, all that it took in counted, for the sake of a larger one: a few large
@@ -187,17 +189,24 @@ class _Cliques(NamedTuple):
 
 
 def _best_cliques(pairs: Index, width: Index) -> _Cliques:
-    """Those of Colamd's order; where they take long, of METIS's, if they take less."""
+    """Those of Colamd's order; where they take long, of METIS's, if they take less. Variables that all share rows with
+    each other are one clique in any order; the one here is Colamd's.
+    """
+    variables = np.unique(pairs)
+    if len(pairs) == variables.size * (variables.size + 1) // 2:
+        return _cliques(np.roll(variables[::-1], 1), pairs, width)
+    import gtsam  # slow to import
+
     graph = gtsam.SymbolicFactorGraph()
     for v, w in pairs.tolist():
         if v == w:
             graph.push_factor(v)
         else:
             graph.push_factor(v, w)
-    best = _cliques(gtsam.Ordering.ColamdSymbolicFactorGraph(graph), pairs, width)
+    best = _cliques(_order(gtsam.Ordering.ColamdSymbolicFactorGraph(graph)), pairs, width)
     if best.operations < _MANY:
         return best
-    by_metis = _cliques(gtsam.Ordering.MetisSymbolicFactorGraph(graph), pairs, width)
+    by_metis = _cliques(_order(gtsam.Ordering.MetisSymbolicFactorGraph(graph)), pairs, width)
     return min(best, by_metis, key=lambda cliques: cliques.operations)
 
 
@@ -235,9 +244,13 @@ def _make_fronts(first: Index, width: Index, pairs: Index, offset: Index, best: 
     return fronts
 
 
-def _cliques(ordering: gtsam.Ordering, pairs: Index, width: Index) -> _Cliques:
+def _order(ordering: "gtsam.Ordering") -> Index:
+    """Its variables."""
+    return np.array([ordering.at(k) for k in range(ordering.size())], dtype=np.int64)
+
+
+def _cliques(order: Index, pairs: Index, width: Index) -> _Cliques:
     """Cliques of an order, those that hardly differ in one."""
-    order = np.array([ordering.at(k) for k in range(ordering.size())], dtype=np.int64)
     turn = {v: k for k, v in enumerate(order.tolist())}
     later = [set[int]() for _ in order]
     for v, w in pairs.tolist():

@@ -8,14 +8,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from itertools import combinations
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.neighbors import predicted_heights
-from mgsgraph.analysis.posterior import Posterior
-from mgsgraph.analysis.statistics import local_sigmas
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import (
     Ellipsoid,
@@ -24,7 +21,6 @@ from mgsgraph.geometry.body import (
     intersect_ellipsoid,
     planetocentric,
 )
-from mgsgraph.geometry.footprint import footprint
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.intersection import meet_terrain
 from mgsgraph.geometry.orientation import OrientationCorrection
@@ -35,6 +31,10 @@ from mgsgraph.network.corrections import designs
 from mgsgraph.record import Record
 from mgsgraph.text import some
 from mgsgraph.units import DEG
+
+if TYPE_CHECKING:
+    from mgsgraph.adjustment.solution import Solution
+    from mgsgraph.analysis.posterior import Posterior
 
 BANDS = ("sigma east", "sigma north", "sigma up", "sigma of position")
 """What each band holds, m: the last is the root of the trace of the covariance."""
@@ -85,7 +85,7 @@ class SigmaGrid(Record):
 
 
 def sigma_grid(
-    posterior: Posterior, images: Sequence[str] = (), cell: float | None = None, sigma: float = 1.0
+    posterior: "Posterior", images: Sequence[str] = (), cell: float | None = None, sigma: float = 1.0
 ) -> SigmaGrid:
     """Sigmas over the overlap of images.
 
@@ -140,14 +140,14 @@ def sigma_grid(
     return SigmaGrid(names, sigma, west, north, steps, values.reshape(4, rows, columns), counts)
 
 
-def _ground_height(posterior: Posterior) -> float:
+def _ground_height(posterior: "Posterior") -> float:
     """Height above the ellipsoid, m: the middle of the adjusted points'."""
     at = posterior.linearised
     places = at.points[np.linalg.norm(at.points, axis=1) > 0.0]
     return float(np.median(geodetic(places, posterior.network.images[0].body)[:, 2])) if places.size else 0.0
 
 
-def _ground(posterior: Posterior, places: Array, height: float) -> Array:
+def _ground(posterior: "Posterior", places: Array, height: float) -> Array:
     """(n, 3) m, ground at longitudes and planetocentric latitudes (n, 2): on the terrain model where there is one, else
     at a height above the ellipsoid.
     """
@@ -161,7 +161,7 @@ def _ground(posterior: Posterior, places: Array, height: float) -> Array:
 
 
 def _extent(
-    posterior: Posterior, numbers: Sequence[int], names: Sequence[str], height: float, cell: float | None
+    posterior: "Posterior", numbers: Sequence[int], names: Sequence[str], height: float, cell: float | None
 ) -> tuple[float, float, tuple[float, float], int, int]:
     """West and north edge, sides of a cell (rad), rows and columns: where the boxes of two or more footprints meet."""
     boxes = _boxes(posterior, numbers, height)
@@ -189,8 +189,10 @@ def _extent(
     return float(low[0]), float(high[1]), (float(steps[0]), float(steps[1])), rows, columns
 
 
-def _boxes(posterior: Posterior, numbers: Sequence[int], height: float) -> list[tuple[Array, Array]]:
+def _boxes(posterior: "Posterior", numbers: Sequence[int], height: float) -> list[tuple[Array, Array]]:
     """Least and largest longitude and latitude of each footprint, all within half a turn of the first."""
+    from mgsgraph.geometry.footprint import footprint  # shapely takes its time
+
     boxes: list[tuple[Array, Array]] = []
     for j in numbers:
         area = footprint(posterior.network.images[j], height, posterior.correction(j))
@@ -205,7 +207,7 @@ def _boxes(posterior: Posterior, numbers: Sequence[int], height: float) -> list[
     return boxes
 
 
-def _seen(posterior: Posterior, numbers: Sequence[int], ground: Array) -> tuple[Array, Array]:
+def _seen(posterior: "Posterior", numbers: Sequence[int], ground: Array) -> tuple[Array, Array]:
     """(n, images) whether each place (n, 3) falls into an image, and (n, images, 2) where."""
     places = np.full((ground.shape[0], len(numbers), 2), np.nan)
     visible = np.zeros((ground.shape[0], len(numbers)), dtype=bool)
@@ -265,13 +267,13 @@ class View:
     """Its geometry; the trajectory is the nominal one."""
     correction: OrientationCorrection | None = None
     """Of the nominal orientation; none when absent."""
-    solution: Solution | None = None
+    solution: "Solution | None" = None
     """Adjustment that the correction is of, for its covariance."""
     number: int = 0
     """Of the image in that solution."""
 
     @classmethod
-    def adjusted(cls, solution: Solution, number: int) -> "View":
+    def adjusted(cls, solution: "Solution", number: int) -> "View":
         """An image of a solution."""
         return cls(solution.image(number), solution.correction(number), solution, number)
 
@@ -373,6 +375,8 @@ class View:
                 self.image.name, "neither a terrain model nor adjusted points to say how high its ground is",
                 "the ground's height", "give --height M, --radius M, --terrain FILE or --ellipsoid",
             )  # fmt: skip
+        from mgsgraph.analysis.statistics import local_sigmas  # not needed without a solution
+
         points = self.solution.places[adjusted]
         sigmas = local_sigmas(self.solution.covariances[adjusted], points)[:, 2]
         return predicted_heights(points, geodetic(points, self.image.body)[:, 2], sigmas, places)

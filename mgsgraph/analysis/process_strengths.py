@@ -50,9 +50,8 @@ import numpy as np
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.marginals import dense_covariance as mixture_covariance
-from mgsgraph.adjustment.optimize import Iteration
 from mgsgraph.adjustment.rounds import unmarked
-from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.settings import Iteration, SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.analysis.separability import LIMIT

@@ -249,8 +249,8 @@ class Motions:
             kinds = at.rows.observation_kind[at.rows.pattern_observation[pattern] + rows.observation]
             for (kind, axis), moved in self._control.items():
                 by_point = rows.by_point[0][kinds == kind]
-                up = np.broadcast_to(at.points[place], by_point.shape)
-                if kind != IMAGE:
+                if kind != IMAGE and by_point.size:
+                    up = np.broadcast_to(at.points[place], by_point.shape)
                     moved[k] = -self.noise[k] @ by_point.T @ _per_meter(kind, axis, by_point, up)
             samples = np.flatnonzero((kinds == IMAGE) & (rows.row == 1))
             rays = ray_of[among + rows.observation[samples] * count + place - begin]

@@ -25,8 +25,7 @@ import numpy as np
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.cluster.connection import Connection
-from mgsgraph.adjustment.optimize import Iteration
-from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.settings import Iteration, SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.process_strengths import estimated_strengths
 from mgsgraph.analysis.residual_spectrum import residual_vibrations

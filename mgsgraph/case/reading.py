@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from msgspec import structs
 
-from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.settings import Iteration, SolverSettings
 from mgsgraph.case.assembly import Parts, in_images, merged, with_sigmas
 from mgsgraph.case.case_file import decode, instruments, read_images
 from mgsgraph.case.case_file import read_image as read_image
@@ -42,7 +42,6 @@ from mgsgraph.record import Record
 from mgsgraph.workers import no_progress
 
 if TYPE_CHECKING:
-    from mgsgraph.adjustment.optimize import Iteration
     from mgsgraph.adjustment.solution import Solution
 
 _LEAST_SHOTS = 12
@@ -312,7 +311,7 @@ def _require_seeing_images(network: Network, notes: Sequence[str]) -> None:
         )
 
 
-def adjust(case: Case, progress: "Callable[[Iteration], None]" = no_progress) -> "Solution":
+def adjust(case: Case, progress: Callable[[Iteration], None] = no_progress) -> "Solution":
     """Adjust a case, strengths of processes and vibrations that it wants estimated found on the way; see
     `mgsgraph.adjustment.adjust.adjust_network`, `mgsgraph.analysis.vibrations.adjusted`.
 

@@ -1,5 +1,6 @@
 """The command line: one function for each verb, without computations. Verbs are imported when they are called."""
 
+import gc
 import os
 import signal
 import sys
@@ -88,6 +89,7 @@ def group() -> None:
 
 def main() -> None:
     """Entry point: bad input is one line on standard error and exit status 2."""
+    gc.set_threshold(100_000, 50)  # of what imports make, 100,000 objects and more, nothing is garbage
     interrupted = False
 
     def interrupt(number: int, frame: FrameType | None) -> None:

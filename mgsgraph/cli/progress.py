@@ -17,7 +17,7 @@ from mgsgraph.compiled import is_compiling
 from mgsgraph.workers import Stages
 
 if TYPE_CHECKING:
-    from mgsgraph.adjustment.optimize import Iteration
+    from mgsgraph.adjustment.settings import Iteration
 
 _EXPLAIN_AFTER = 4.0
 """s of compiling until the message appears."""

@@ -1,6 +1,8 @@
 """Nominal poses by compiled code: sampled tables interpolated as ISIS and SPICE do, and polynomials of the papers."""
 
-from mgsgraph.compiled import cached_kernel, compiled, make_equations_compilable
+from functools import partial
+
+from mgsgraph.compiled import cached_kernel, equation
 from mgsgraph.factors.algebra import add, cross, product, scale, subtract, transform, transpose
 from mgsgraph.factors.interpolation import hermite
 from mgsgraph.factors.pose import about_axes
@@ -13,10 +15,10 @@ from mgsgraph.factors.rotation import (
     rotation,
 )
 
-make_equations_compilable()
+kernel = partial(cached_kernel, plain=True)
 
 
-@compiled
+@equation
 def interval(times, at):
     """Interval k of the samples times[k] .. times[k + 1] that serves a time; the outer ones extrapolate.
 
@@ -29,13 +31,13 @@ def interval(times, at):
     return end - 1
 
 
-@compiled
+@equation
 def vector(values, k):
     """Row k of an array (n, 3)."""
     return values[k, 0], values[k, 1], values[k, 2]
 
 
-@compiled
+@equation
 def rows_of(matrix):
     """A matrix (3, 3) as rows."""
     return (
@@ -45,13 +47,13 @@ def rows_of(matrix):
     )
 
 
-@compiled
+@equation
 def set_vector(values, k, vector):
     """Set row k of an array (n, 3)."""
     values[k, 0], values[k, 1], values[k, 2] = vector
 
 
-@compiled
+@equation
 def place_at(time, table):
     """Position and velocity of a table (times, positions, velocities) at a time."""
     times, positions, velocities = table
@@ -66,7 +68,7 @@ def place_at(time, table):
     )
 
 
-@compiled
+@equation
 def attitude_at(time, table):
     """Matrix of a table (times, quaternions, turns, constant) at a time, and angular velocity, in the wanted frame.
 
@@ -81,7 +83,7 @@ def attitude_at(time, table):
     return product(fixed, sampled), transform(fixed, scale(1.0 / step, turn))
 
 
-@compiled
+@equation
 def polynomial_at(coefficients, s):
     """Value and derivative by s of a polynomial with coefficients (d, 3)."""
     value, slope = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
@@ -91,7 +93,7 @@ def polynomial_at(coefficients, s):
     return value, slope
 
 
-@cached_kernel
+@kernel
 def places(times, table, position, velocity):
     """Positions (n, 3) and velocities (n, 3) of a table at times (n,)."""
     for i in range(times.size):
@@ -100,14 +102,14 @@ def places(times, table, position, velocity):
         set_vector(velocity, i, motion)
 
 
-@cached_kernel
+@kernel
 def quaternions(matrix, result):
     """Unit quaternions (n, 4) of rotation matrices (n, 3, 3)."""
     for i in range(matrix.shape[0]):
         result[i, 0], result[i, 1], result[i, 2], result[i, 3] = matrix_quaternion(rows_of(matrix[i]))
 
 
-@cached_kernel
+@kernel
 def attitudes(times, table, matrix, angular_rate):
     """Matrices (n, 3, 3) and angular velocities (n, 3) of a table at times (n,)."""
     for i in range(times.size):
@@ -117,7 +119,7 @@ def attitudes(times, table, matrix, angular_rate):
         set_vector(angular_rate, i, turn)
 
 
-@cached_kernel
+@kernel
 def sampled_poses(times, position_table, camera_table, body_table, position, velocity, matrix, angular_rate):
     """Poses at times (n,): body-fixed position and attitude of the camera, and their rates per second."""
     for i in range(times.size):
@@ -133,7 +135,7 @@ def sampled_poses(times, position_table, camera_table, body_table, position, vel
             set_vector(matrix[i], j, attitude[j])
 
 
-@cached_kernel
+@kernel
 def polynomial_poses(s, rate, paper, places, angles, position, velocity, matrix, angular_rate):
     """Poses of polynomials in X, Y, Z and in omega, phi, kappa at s (n,); `rate` is ds/dt. The product R3 R2 R1 takes
     camera to body where `paper`, else body to camera.
@@ -150,7 +152,7 @@ def polynomial_poses(s, rate, paper, places, angles, position, velocity, matrix,
             set_vector(matrix[i], j, attitude[j])
 
 
-@cached_kernel
+@kernel
 def turned_attitudes(nominal, angular_rate, turn, turn_rate, matrix, result):
     """Matrices (n, 3, 3) and angular rates (n, 3) of nominal quaternions (n, 4), corrected by turns (n, 3) about
     the axes of the camera.

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mgsgraph.compiled import cached_kernel, compiled, make_equations_compilable
+from mgsgraph.compiled import cached_kernel, compiled
 from mgsgraph.factors.algebra import scale, subtract, transform
 from mgsgraph.factors.collinearity import (
     by_point,
@@ -14,8 +14,6 @@ from mgsgraph.factors.collinearity import (
     to_lines_and_samples,
 )
 from mgsgraph.geometry.compiled_pose import place_at, rows_of, set_vector, vector
-
-make_equations_compilable()
 
 NEAR = 0.05
 """By how much w may miss zero where its parabola is nearest to it, in shares of its slope over the interval."""

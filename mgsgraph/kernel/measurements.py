@@ -6,7 +6,6 @@ RESIDUAL, BY_POINT and BY_STATE at ROWS, whitened; zero where a row takes no par
 
 import numpy as np
 
-from mgsgraph.compiled import make_equations_compilable
 from mgsgraph.factors.algebra import add, subtract, transform
 from mgsgraph.factors.collinearity import (
     NEWTON_STEPS,
@@ -82,8 +81,6 @@ from mgsgraph.kernel.rows import (
     STEREO,
 )
 from mgsgraph.kernel.tile import BEGIN, END, copy_block, correct, observations_of
-
-make_equations_compilable()
 
 _C = CONSTANTS
 _FIRST_ROW, _SECOND_ROW, _BY_STATE = ROWS + BY_POINT, ROWS + BY_POINT + ROW, ROWS + BY_STATE

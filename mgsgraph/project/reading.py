@@ -7,10 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.linearised import at_values
 from mgsgraph.analysis.places import View
-from mgsgraph.analysis.posterior import Posterior, is_self_contained, posterior_of
 from mgsgraph.case.case_file import decode, read_image, read_images
 from mgsgraph.case.passes import members
 from mgsgraph.case.schema import CaseInput, TerrainInput
@@ -34,6 +31,8 @@ from mgsgraph.units import DEG
 
 if TYPE_CHECKING:
     from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
+    from mgsgraph.adjustment.solution import Solution
+    from mgsgraph.analysis.posterior import Posterior
     from mgsgraph.planning.state import NetworkState
 
 _OWN_CASE = Path("inputs", "case.toml")
@@ -131,7 +130,7 @@ def _case_of_all(project: Project) -> Path | None:
     return case if names == set(project.store.image_names()) else None
 
 
-def read_adjusted(path: Path) -> tuple[Solution, str]:
+def read_adjusted(path: Path) -> tuple["Solution", str]:
     """The last batch solution of a folder of results or a project, and a warning if the project has changed since (else
     an empty text). InputError without one.
     """
@@ -165,8 +164,11 @@ def read_state(path: Path) -> tuple[str, "NetworkState", str]:
     return solution.name, state_of_solution(solution), _warning(solution)
 
 
-def read_posterior(path: Path) -> tuple[str, Posterior, str]:
+def read_posterior(path: Path) -> tuple[str, "Posterior", str]:
     """Name and posterior of an adjusted network, and a warning; paths and errors as for `read_state`."""
+    from mgsgraph.analysis.linearised import at_values
+    from mgsgraph.analysis.posterior import Posterior
+
     if _is_project(path):
         with open_project(path) as project:
             values, settings = _adjusted(project, str(path)).values, project.settings.solver.settings
@@ -178,11 +180,12 @@ def read_posterior(path: Path) -> tuple[str, Posterior, str]:
     return solution.name, Posterior.of(solution), _warning(solution)
 
 
-def posterior_near(path: Path, point: str) -> Posterior | None:
+def posterior_near(path: Path, point: str) -> "Posterior | None":
     """Posterior of the points of a project that depend on the same unknowns as `point`: from their measurements and the
     covariance of these unknowns in iSAM2, without reading other points. None without such a point or an adjustment,
     and for a bundle that is not self-contained (`is_self_contained`).
     """
+    from mgsgraph.analysis.posterior import is_self_contained, posterior_of
     from mgsgraph.project.changes import is_solved
 
     with open_project(path) as project:
@@ -198,7 +201,7 @@ def posterior_near(path: Path, point: str) -> Posterior | None:
             )  # fmt: skip
 
 
-def _warning(solution: Solution) -> str:
+def _warning(solution: "Solution") -> str:
     if solution.converged:
         return ""
     return f"The adjustment has NOT converged, so sigmas mean little: {solution.message}"

@@ -17,8 +17,7 @@ import numpy as np
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.graph.variables import footprint_shifts
-from mgsgraph.adjustment.optimize import Iteration
-from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.settings import Iteration, SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.analysis.statistics import local_sigmas

@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.analysis.places import Places, State, View, on_surface, upward
-from mgsgraph.analysis.statistics import local_sigmas, sigmas_along
 from mgsgraph.errors import require
 from mgsgraph.files.csv_columns import AXES, CARTESIAN, GEODETIC, ISIS, OURS, PLANETOCENTRIC, RADIAL
 from mgsgraph.files.output.table import Column, Table, numbers
@@ -138,6 +137,8 @@ def ground_places_table(projected: Places, body: Ellipsoid, given: Mapping[str, 
     values |= dict(zip(GEODETIC[1:], (geodetic_latitude / DEG, height), strict=True))
     values |= dict(zip(CARTESIAN, projected.points.T, strict=True))
     if projected.covariances is not None:
+        from mgsgraph.analysis.statistics import local_sigmas, sigmas_along  # only where there is a solution
+
         values |= dict(zip(RADIAL, local_sigmas(projected.covariances, projected.points).T, strict=True))
         values["sigma_height_m"] = sigmas_along(upward(projected.points, body)[:, None], projected.covariances)[:, 0]
         values |= dict(zip(AXES, np.sqrt(np.diagonal(projected.covariances, axis1=1, axis2=2)).T, strict=True))

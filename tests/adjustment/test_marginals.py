@@ -317,3 +317,15 @@ def test_solution_and_covariance_of_a_block_are_those_of_the_dense_matrix(
     joint = joint_covariance(factor.square_root())
     np.testing.assert_allclose(joint.dense(), inverse, atol=1e-15)
     np.testing.assert_allclose(joint.sigmas, np.sqrt(np.diag(inverse)), rtol=1e-13)
+
+
+@pytest.mark.parametrize("size", [1, 2, 3, 6, 15])
+def test_one_clique_is_ordered_as_colamd_orders_it(size: int) -> None:
+    """Without GTSAM, which takes long to import; draws from a covariance depend on the order."""
+    pairs, graph = np.stack(np.triu_indices(size), axis=1) + 3, gtsam.SymbolicFactorGraph()
+    for ends in pairs.tolist():
+        graph.push_factor(*dict.fromkeys(ends))
+    order = gtsam.Ordering.ColamdSymbolicFactorGraph(graph)
+    cliques = sparse_cholesky._best_cliques(pairs, np.full(size + 3, 6))
+    assert cliques.order.tolist() == [order.at(k) for k in range(size)]
+    assert len(cliques.members) == 1

@@ -71,6 +71,21 @@ def test_looking_at_a_project_loads_no_solver(project: Path) -> None:
     assert solver == {f"mgsgraph.adjustment.{name}" for name in ("settings", "incremental", "incremental.state")}
 
 
+def test_a_pixel_of_a_case_is_projected_without_compiler_and_solver(case_file: Path) -> None:
+    there = loaded("locate", case_file, "SIM/A", "--pixel", "10", "10", "--ellipsoid")
+    assert "mgsgraph.geometry.compiled_pose" in there
+    assert not {name.split(".")[0] for name in there} & HEAVY
+    assert not [name for name in there if name.startswith(("mgsgraph.kernel.sweep", "mgsgraph.adjustment.graph"))]
+
+
+@pytest.mark.parametrize("words", [("check", "CASE"), ("adjust", "CASE", "--no-figures", "--out", "OUT")])
+def test_two_images_are_adjusted_without_gtsam(words: tuple[str, ...], case_file: Path, tmp_path: Path) -> None:
+    """All of their unknowns share points, so that their order does not matter."""
+    paths = {"CASE": case_file, "OUT": tmp_path / "out"}
+    there = loaded(*(paths.get(word, word) for word in words))
+    assert {name.split(".")[0] for name in there} & HEAVY <= {"numba", "llvmlite", "scipy", "shapely", "jinja2"}
+
+
 def refused(project: Path, said: str, *arguments: str | Path) -> None:
     """One line, and nothing has changed."""
     before = state(project)

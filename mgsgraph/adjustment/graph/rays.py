@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from mgsgraph.adjustment.graph.patterns import Patterns, Terms, counted
 from mgsgraph.adjustment.graph.variables import Variables, angles_of
-from mgsgraph.compiled import cached_kernel, compiled, in_threads, make_equations_compilable
+from mgsgraph.compiled import cached_kernel, compiled, in_threads
 from mgsgraph.factors.algebra import add, dot, scale, subtract, transform, transpose
 from mgsgraph.factors.collinearity import image_motion, ray_motion, to_lines_and_samples
 from mgsgraph.factors.intersection import add_ray, least_eigenvalue, solve_symmetric
@@ -242,8 +242,6 @@ def frozen_scale(pose: Pose, focal_length: float, points: Array, slope: Array) -
 
 
 # --- compiled
-
-make_equations_compilable()
 
 
 @cached_kernel
