@@ -2,8 +2,7 @@
 laid out change. Intersections of points' nominal rays.
 """
 
-import pickle
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
@@ -17,10 +16,10 @@ from mgsgraph.compiled import cached_kernel, compiled, in_threads
 from mgsgraph.factors.algebra import add, dot, scale, subtract, transform, transpose
 from mgsgraph.factors.collinearity import image_motion, ray_motion, to_lines_and_samples
 from mgsgraph.factors.intersection import add_ray, least_eigenvalue, solve_symmetric
-from mgsgraph.factors.rotation import matrix_quaternion, opk_angles, opk_rotation, quaternion_matrix
+from mgsgraph.factors.rotation import opk_rotation, quaternion_matrix
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.camera import Detector
-from mgsgraph.geometry.compiled_pose import rows_of, set_vector, vector
+from mgsgraph.geometry.compiled_pose import set_vector, vector
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.kernel.rows import CAMERA, IMAGE, OPK_PAPER, OPK_PEER, PREDICTED, Model
@@ -29,6 +28,8 @@ from mgsgraph.network.effects import SharedEffects, common_looks
 
 _SHARE = 1 << 16
 """Rays that a thread takes at a time."""
+_BLOCK = 1024
+"""Rays whose places are worked out at a time."""
 _Rays = NDArray[np.int32]
 """(m,) numbers of rays in the network; int32, since there are many."""
 
@@ -88,9 +89,8 @@ class RayConstants:
         lengths of the patterns' observations.
         """
         self._nodes = terms.of_rays if self._network.passes else None
-        edges = [*range(0, self._by_image.size, _SHARE), self._by_image.size]
-        in_threads(lambda ends: self._fill_detectors(*ends, data, weight), list(pairwise(edges)))
-        self._fill_poses(data, terms, bending, True)
+        weight[:, self.among] = 1.0 / self._network.rays.sigmas.T
+        self.renew(data, terms, bending)
         if crossing is not None:
             self._cross(data, crossing, focal)
 
@@ -120,21 +120,36 @@ class RayConstants:
 
     def renew(self, data: Array, terms: Terms, bending: Array) -> None:
         """The same constants about other lines, in place; they depend on the same nodes as before. Strict form."""
-        self._fill_poses(data, terms, bending, False)
+        values = self._variables.split(bending)
+
+        def fill(j: int, rays: _Rays) -> None:
+            if not self._of_look.size:
+                self._fill_image(j, rays, self._looks[0], data, terms, values)
+                return
+            for number in np.unique(self._of_look[0, rays]).tolist():
+                chosen = rays[self._of_look[0, rays] == number]
+                self._fill_image(j, chosen, self._looks[number][self._of_look[1, chosen]], data, terms, values)
+
+        self._each(fill)
 
     def fill_scales(self, data: Array, starts: Array) -> None:
         """The scale of the measured-line form, from the image motion of points at their starting positions (n, 3)."""
-        rays, first = self._network.rays, 5 + (4 if self._model.angles == CAMERA else 3)
+        rays = self._network.rays
 
         def rescale(j: int, k: _Rays) -> None:
-            image, axes = self._network.images[j], self._axes[j]
-            focal_length = image.interior.focal_length
-            pose = image.pose(rays.places[k, 0]).in_axes(axes)
-            detector = Detector(*image.interior.focal_plane(rays.places[k, 1])).in_axes(axes, focal_length)
-            scale = frozen_scale(pose, focal_length, starts[rays.point[k]], detector.slope)
-            store_scale(k, self._table, first, scale.reshape(-1, 4), data)
+            image, lines = self._network.images[j], rays.places[k, 0]
+            pose, detector = image.pose(lines).in_axes(self._axes[j]), self._pixels(j, k)
+            scale = frozen_scale(pose, image.interior.focal_length, starts[rays.point[k]], detector.slope)
+            first = attitudes(pose, self._model.angles).shape[1] + 5
+            store(k, self._table, first, scale.reshape(-1, 4).T, data)
 
         self._each(rescale)
+
+    def _pixels(self, j: int, k: _Rays) -> Detector:
+        """Detector pixels of rays of an image, in the axes of its pass."""
+        interior = self._network.images[j].interior
+        plane = interior.focal_plane(self._network.rays.places[k, 1])
+        return Detector(*plane).in_axes(self._axes[j], interior.focal_length)
 
     @cached_property
     def _axes(self) -> list[Array | None]:
@@ -146,82 +161,39 @@ class RayConstants:
                 axes[j] = pass_.axes_of(j)
         return axes
 
-    @cached_property
-    def _optics(self) -> Index:
-        """(m,) images with the same number have the same detector and optics, in the same axes."""
-        numbers = dict[bytes, int]()
-        keys = (
-            pickle.dumps((image.interior, axes)) for image, axes in zip(self._network.images, self._axes, strict=True)
-        )
-        return np.array([numbers.setdefault(key, len(numbers)) for key in keys], dtype=np.int64)
-
-    def _fill_detectors(self, begin: int, end: int, data: Array, weight: Array) -> None:
-        """Detector pixels, their slopes and weights of the rays begin .. end - 1."""
-        rays, strict = self._network.rays, self._model.line == PREDICTED
-        first = 3 + (4 if self._model.angles == CAMERA else 3)
-        for _, chosen in parts(self._optics[rays.image[begin:end]]):
-            k = (begin + chosen).astype(np.int32)
-            j = int(rays.image[k[0]])
-            interior = self._network.images[j].interior
-            detector = Detector(*interior.focal_plane(rays.places[k, 1]))
-            detector = detector.in_axes(self._axes[j], interior.focal_length)
-            store_detectors(k, self._table, rays.sigmas, first, strict, *detector, data, weight)
-
-    def _fill_poses(self, data: Array, terms: Terms, bending: Array, with_scale: bool) -> None:
-        values = self._variables.split(bending)
-
-        def fill(j: int, rays: _Rays) -> None:
-            if not self._of_look.size:
-                self._fill_image(j, rays, self._looks[0], data, terms, values, with_scale)
-                return
-            for number, chosen in parts(self._of_look[0, rays]):
-                common = self._looks[number][self._of_look[1, rays[chosen]]]
-                self._fill_image(j, rays[chosen], common, data, terms, values, with_scale)
-
-        self._each(fill)
-
     def _fill_image(
-        self, j: int, k: _Rays, common: Array, data: Array, terms: Terms, values: Sequence[Array], with_scale: bool
+        self, j: int, k: _Rays, common: Array, data: Array, terms: Terms, values: Sequence[Array]
     ) -> None:
-        """Poses of the rays `k` of an image, whose looks by errors in common are `common`, by as many factors each."""
-        rays, model, axes, image = self._network.rays, self._model, self._axes[j], self._network.images[j]
-        predicted, focal_length = model.line == PREDICTED, image.interior.focal_length
-        lines, samples = terms.lines[k], rays.places[k, 1]
+        """Constants of the rays `k` of an image, whose looks by errors in common are `common`, by as many factors each,
+        in the order in which `kernel.tile.load_observation` takes them.
+        """
+        rays, angles, image = self._network.rays, self._model.angles, self._network.images[j]
+        lines, predicted, pixels = terms.lines[k], self._model.line == PREDICTED, self._pixels(j, k)
         moments = image.moments(lines)
-        pose = image.trajectory.pose(moments.times).scaled(moments.periods).in_axes(axes)
-        angular_rate = angle_rates(pose, model.angles) if predicted and model.angles != CAMERA else pose.angular_rate
+        pose = image.trajectory.pose(moments.times).scaled(moments.periods).in_axes(self._axes[j])
+        slope = self.effects.slopes(j, rays.places[k, 1], values) if self.effects.bends(j) else pixels.slope
         if predicted:
-            angular_rate = angular_rate + self.effects.turning(j, moments.u, values)
-        slope = scale = np.empty((k.size, 0))
-        if self.effects.bends(j):
-            slope = self.effects.slopes(j, samples, values)
-        if with_scale and model.angles == OPK_PEER and not predicted:
-            detector = Detector(*image.interior.focal_plane(samples)).in_axes(axes, focal_length)
-            scale = peer_scale(slope if slope.size else detector.slope)
-        effects = self.effects.of_rays(j, moments.u, samples, common)
-        tail = [*terms.basis(j, moments, terms.of_rays[k], predicted), effects.reshape(k.size, -1)]
-        store_poses(
-            k, self._table, model.angles, predicted, (pose.position, pose.matrix, pose.velocity, angular_rate), scale,
-            slope, lines - rays.places[k, 0], np.hstack(tail), data,
-        )  # fmt: skip
+            rates = pose.angular_rate if angles == CAMERA else angle_rates(pose, angles)
+            rates = rates + self.effects.turning(j, moments.u, values)
+            form = [pose.velocity, rates, slope, (lines - rays.places[k, 0])[:, None]]
+        else:
+            form = [peer_scale(slope) if angles == OPK_PEER else np.zeros((k.size, 4))]  # `fill_scales` fills these
+        basis = terms.basis(j, moments, terms.of_rays[k], predicted)
+        effects = self.effects.of_rays(j, moments.u, rays.places[k, 1], common).reshape(k.size, -1)
+        constants = [pose.position, attitudes(pose, angles), pixels.place, *form, *basis, effects]
+        store(k, self._table, 0, np.concatenate([part.T for part in constants]), data)
 
 
-def parts(numbers: Index) -> Iterator[tuple[int, Index]]:
-    """Which of some rays have the same number (r,)."""
-    if numbers.size and numbers.min() == numbers.max():
-        yield int(numbers[0]), np.arange(numbers.size)
-        return
-    order = np.argsort(numbers, kind="stable")
-    edges = np.flatnonzero(np.diff(numbers[order], prepend=-1, append=-1)).tolist()
-    for a, b in pairwise(edges):
-        yield int(numbers[order[a]]), order[a:b]
+def attitudes(pose: Pose, angles: int) -> Array:
+    """(k, 4 or 3) quaternions, or omega, phi, kappa of the product M' = R3 R2 R1 (papers) or M = R3 R2 R1."""
+    if angles == CAMERA:
+        return rotation.from_matrix(pose.matrix)
+    return rotation.omega_phi_kappa(pose.matrix if angles == OPK_PAPER else np.swapaxes(pose.matrix, 1, 2))
 
 
 def angle_rates(pose: Pose, angles: int) -> Array:
-    """(k, 3) rates per line of omega, phi, kappa in the product M' = R3 R2 R1 (papers) or M = R3 R2 R1."""
-    paper = angles == OPK_PAPER
-    turned = rotation.omega_phi_kappa(pose.matrix if paper else np.swapaxes(pose.matrix, 1, 2))
-    chain = rotation.angle_axes(turned, camera_to_body=paper)
+    """(k, 3) rates of these angles, per line."""
+    chain = rotation.angle_axes(attitudes(pose, angles), camera_to_body=angles == OPK_PAPER)
     return np.asarray(np.linalg.solve(chain, pose.angular_rate[:, :, None])[:, :, 0])
 
 
@@ -285,72 +257,21 @@ def place_of(k, table):
     return piece[p, 3] + size * before[piece[p, 0], slot] + rest - slot * size, size
 
 
-@compiled
-def put(data, at, stride, values):
-    """Store the components of a tuple; return the index of the next one."""
-    for value in values:
-        data[at] = value
-        at += stride
-    return at
-
-
 @cached_kernel
-def store_detectors(rays, table, sigmas, first, predicted, detector, slope, data, weight):
-    """Detector pixels (m, 2) of some `rays` (m,), component `first` of each, their slopes in the strict form, and the
-    weights. `table` is as of `place_of`.
+def store(rays, table, first, values, data):
+    """Store components (c, m) of some `rays` (m,) from the component `first` on; `table` is as of `place_of`.
+
+    Component after component: those of one ray lie at distances that share one place of the processor's cache.
     """
-    for r in range(rays.size):
-        k, index = rays[r], table[5][rays[r]]
-        weight[0, index], weight[1, index] = 1.0 / sigmas[k, 0], 1.0 / sigmas[k, 1]
-        at, step = place_of(k, table)
-        begin = put(data, at + first * step, step, (detector[r, 0], detector[r, 1]))
-        if predicted:
-            put(data, begin + 6 * step, step, (slope[r, 0], slope[r, 1]))
-
-
-@cached_kernel
-def store_poses(rays, table, angles, predicted, pose, scales, slope, offset, tail, data):
-    """Constants of some `rays` (m,) of one image that follow from their lines, in the order in which
-    `kernel.tile.load_observation` takes them. `table` is as of `place_of`.
-
-    `pose` is (positions, matrices, velocities, angular rates or rates of the angles), `scales` (m, 4 or 0) S of the
-    measured-line form where it is known already, `slope` (m, 2 or 0) that of the detector line where it isn't stored
-    yet, `offset` (m,) lines from the measured line, `tail` (m, c) the last values: the line u of a polynomial, or
-    values and rates of nodes, then directions.
-    """
-    position, matrix, velocity, angular_rate = pose
-    for r in range(rays.size):
-        begin, step = place_of(rays[r], table)
-        begin = put(data, begin, step, vector(position, r))
-        attitude = rows_of(matrix[r])
-        if angles == CAMERA:
-            begin = put(data, begin, step, matrix_quaternion(attitude))
-        else:
-            begin = put(data, begin, step, opk_angles(transpose(attitude) if angles == OPK_PAPER else attitude))
-        begin += 2 * step
-        if predicted:
-            begin = put(data, begin, step, vector(velocity, r))
-            begin = put(data, begin, step, vector(angular_rate, r))
-            for a in range(slope.shape[1]):
-                data[begin + a * step] = slope[r, a]
-            data[begin + 2 * step] = offset[r]
-            begin += 3 * step
-        else:
-            for a in range(scales.shape[1]):
-                data[begin + a * step] = scales[r, a]
-            begin += 4 * step
-        for a in range(tail.shape[1]):
-            data[begin] = tail[r, a]
-            begin += step
-
-
-@cached_kernel
-def store_scale(rays, table, first, values, data):
-    """The scale (m, 4) of the measured-line form, component `first` of each of some `rays` (m,)."""
-    for r in range(rays.size):
-        at, step = place_of(rays[r], table)
-        for a in range(4):
-            data[at + (first + a) * step] = values[r, a]
+    at, step = np.empty(_BLOCK, dtype=np.int64), np.empty(_BLOCK, dtype=np.int64)
+    for begin in range(0, rays.size, _BLOCK):
+        size = min(_BLOCK, rays.size - begin)
+        for r in range(size):
+            start, step[r] = place_of(rays[begin + r], table)
+            at[r] = start + first * step[r]
+        for c in range(values.shape[0]):
+            for r in range(size):
+                data[at[r] + c * step[r]] = values[c, begin + r]
 
 
 @compiled
