@@ -21,8 +21,7 @@ from mgsgraph.adjustment.batch import (
     with_final_steps,
 )
 from mgsgraph.adjustment.graph import BundleGraph, lay_out
-from mgsgraph.adjustment.optimize import Iteration
-from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.settings import Iteration, SolverSettings
 from mgsgraph.kernel.sweep import GRADIENT, compile_sweep, sweep
 
 
