@@ -25,7 +25,7 @@ CEILINGS = {
     "planning": (886, 13942, 6),
     "case": (2175, 32464, 11),
     "analysis": (4981, 80673, 28),
-    "adjustment": (7438, 114090, 43),
+    "adjustment": (7438, 114098, 43),
     "matching": (2127, 35136, 13),
     "network": (3259, 53129, 16),
     "files": (8900, 123854, 54),
@@ -34,7 +34,7 @@ CEILINGS = {
     "factors": (866, 13738, 18),
     "single files": (981, 11100, 10),
     "scripts": (6995, 112053, 51),
-    "tests": (39459, 594714, 218),
+    "tests": (39459, 594713, 218),
     "docs": (157, 1791, 4),
 }  # fmt: skip
 """Room: lines of code, nodes, files."""

@@ -100,8 +100,8 @@ class RayConstants:
         kinds = np.concatenate([[0], np.cumsum(self._patterns.kind == IMAGE)])
         rays = np.diff(kinds[self._patterns.first])
         patterns = piece, before, self._patterns.first, rays, focal
-        many = np.cumsum(piece[:, 2] * rays[piece[:, 0]])
-        edges = np.unique([0, *np.searchsorted(many, range(_SHARE, int(many[-1]), _SHARE)), many.size]).tolist()
+        many = np.concatenate([[0], np.cumsum(piece[:, 2] * rays[piece[:, 0]])])
+        edges = np.unique(np.searchsorted(many, [*range(0, many[-1], _SHARE), many[-1]])).tolist()
         angles, order = self._model.angles, self._patterns.point_order
         in_threads(lambda ends: crossings(*ends, angles, patterns, order, data, *crossing), list(pairwise(edges)))
 
