@@ -18,7 +18,7 @@ CEILINGS = {
     "studio": (2497, 39628, 19),
     "fetch": (1363, 16570, 9),
     "project": (2712, 36655, 17),
-    "export": (2985, 44193, 19),
+    "export": (2994, 44383, 19),
     "simulation": (2861, 42747, 22),
     "results": (4252, 64494, 35),
     "registration": (1681, 25646, 12),
@@ -34,7 +34,7 @@ CEILINGS = {
     "factors": (866, 13738, 18),
     "single files": (981, 11100, 10),
     "scripts": (6995, 112053, 51),
-    "tests": (39459, 594713, 218),
+    "tests": (39475, 594902, 218),
     "docs": (157, 1791, 4),
 }  # fmt: skip
 """Room: lines of code, nodes, files."""

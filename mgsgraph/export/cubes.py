@@ -12,6 +12,7 @@ of cubes have no checksum; their room is what Object = Label says (Cube::writeLa
 import json
 import re
 import shutil
+import stat
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
@@ -173,7 +174,10 @@ def _adjusted(image: PushbroomImage, correction: OrientationCorrection, tables: 
     """Samples, or polynomials in place of such, over the time of the earlier positions; km, km/s, rad/s, s TDB past
     J2000.
     """
-    epoch, position = image.trajectory.epoch, tables[_POSITION]
+    epoch, position, middle = image.trajectory.epoch, tables[_POSITION], float(image.span.mean())
+    if not position.start <= middle <= position.stop:
+        found = f"positions from {position.start:.3f} to {position.stop:.3f} s TDB past J2000"
+        raise InputError(position.where, found, f"those of {image.name}, taken at {middle:.3f} s", "name its own cube")
     first, last = image.timing.lines(np.array([position.start, position.stop]) - epoch).tolist()
     body = attitude_table(tables["BodyRotation"], epoch)
     nodes = adjusted_nodes(image, correction, (first, last), _TOLERANCE, body)
@@ -334,6 +338,8 @@ def replace_cubes(pairs: Sequence[tuple[Path, Path]]) -> None:
     with ExitStack() as stack:
         for copy, original in reversed(pairs):  # the last one entered is the first one put
             target = resolved(original, "name the file itself")
+            if target.exists() and not target.stat().st_mode & stat.S_IWUSR:
+                raise InputError(str(target), "a write-protected cube", "one to replace", "leave out --update")
             temporary = stack.enter_context(fresh_file(target, "a cube that may be replaced", "leave out --update"))
             shutil.copyfile(copy, temporary)
             shutil.copymode(target if target.exists() else copy, temporary)

@@ -131,6 +131,8 @@ def exporting(path: Path, target: Target, out: Path, settings: ExportSettings) -
         raise InputError(str(path), "a solution that did NOT converge", "one for cubes in place", "leave out --update")
     with fresh_folder(out, EXPORT) as temporary, _called_as_asked(temporary, out):
         output = _WRITERS[target](solution, temporary, settings, path)
+        if any(original.resolve().parent == out.resolve() for _, original in output.originals):
+            raise InputError(str(out), "cubes of the case lie in it", "another folder for their copies")
         names = tuple(sorted(file.relative_to(temporary).as_posix() for file in output.paths))
         done = Exported(target, out, names, converged=solution.converged, notes=output.notes)
         if settings.verify:
@@ -268,6 +270,8 @@ def _cubes(solution: Solution, folder: Path, settings: ExportSettings, path: Pat
 
     record = (path if path.is_dir() else path.parent) / RECORD
     case = settings.case or (read_record(record).get("case") if record.is_file() else None)
+    if case and settings.case is None and not Path(case).is_file():
+        raise InputError(str(path), f"its case is no longer at {case}", "the case of its cubes", "name it with --case")
     images, folder_of = (decode(Path(case)).images, Path(case).parent) if case else ((), path)
     files = {image.name: folder_of / str(image.cube or image.label) for image in images if image.cube or image.label}
     when = datetime.fromtimestamp((record if record.is_file() else path).stat().st_mtime, UTC)

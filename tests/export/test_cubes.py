@@ -265,6 +265,11 @@ def test_what_is_read_back_otherwise_is_refused(shared_data: Path, tmp_path: Pat
         copied(shared_data / REAL[1], tmp_path)
 
 
+def test_a_cube_of_another_time_is_refused(shared_data: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"positions from .*; expected those of .*; name its own cube"):
+        copied(shared_data / REAL[1], tmp_path, read_isis_cube(shared_data / REAL[2]))
+
+
 def test_images_without_cubes_and_maps(tmp_path: Path) -> None:
     cube = written(tmp_path, MAPPED)
     solution = adjusted(read_isis_cube(cube))
@@ -298,6 +303,15 @@ def test_a_full_disk_leaves_the_originals(pairs: Any, tmp_path: Path) -> None:
             copied(made[0][1], tmp_path / "other")
     assert held() == before
     assert not list(tmp_path.rglob(".*"))
+
+
+def test_a_write_protected_cube_stays(pairs: Any) -> None:
+    made, held = pairs
+    before = held()
+    made[1][1].chmod(0o444)
+    with pytest.raises(InputError, match="a write-protected cube"):
+        replace_cubes(made)
+    assert held() == before
 
 
 @pytest.mark.parametrize("after", [0, 1])
@@ -338,5 +352,11 @@ def test_the_command_updates_the_cubes_of_the_case(shared_data: Path, tmp_path: 
         assert (out / "cube1.isd").read_bytes() == (tmp_path / "cube1.isd").read_bytes()
     first, second = (read_solution(tmp_path / result) for result in ("first", "second"))
     assert [np.abs(part.correction(0).coefficients[0, 3:]).max() > 1e-6 for part in (first, second)] == [True, False]
+    case = tmp_path / "again.toml"
+    case.write_text((tmp_path / "case.toml").read_text().replace('image = "', 'image = "second-cubes/'))
+    message = refusal("export", tmp_path / "first", "--to", "cubes", "--case", case, "--out", out)
+    assert "cubes of the case lie in it" in message
+    (tmp_path / "case.toml").unlink()
+    assert "name it with --case" in refusal("export", tmp_path / "first", "--to", "cubes", "--out", tmp_path / "gone")
     message = refusal("export", tmp_path / "first", "--to", "csm", "--out", tmp_path / "csm", "--update")
     assert "an option that it ignores; expected it with cubes alone" in message
