@@ -245,7 +245,7 @@ def _make_fronts(first: Index, width: Index, pairs: Index, offset: Index, best: 
 
 
 def _order(ordering: "gtsam.Ordering") -> Index:
-    """Its variables."""
+    """(v,) variables in the order in which they are eliminated."""
     return np.array([ordering.at(k) for k in range(ordering.size())], dtype=np.int64)
 
 

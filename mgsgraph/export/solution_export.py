@@ -267,13 +267,14 @@ def _gis(solution: Solution, folder: Path, settings: ExportSettings, path: Path)
 def _cubes(solution: Solution, folder: Path, settings: ExportSettings, path: Path) -> _Written:
     from mgsgraph.case.case_file import decode
     from mgsgraph.export.cubes import write_cubes
+    from mgsgraph.results.results import case_of
 
-    record = (path if path.is_dir() else path.parent) / RECORD
-    case = settings.case or (read_record(record).get("case") if record.is_file() else None)
-    if case and settings.case is None and not Path(case).is_file():
+    results = path if path.is_dir() else path.parent
+    case, record = settings.case or case_of(results), results / RECORD
+    if settings.case is None and not case.is_file():
         raise InputError(str(path), f"its case is no longer at {case}", "the case of its cubes", "name it with --case")
-    images, folder_of = (decode(Path(case)).images, Path(case).parent) if case else ((), path)
-    files = {image.name: folder_of / str(image.cube or image.label) for image in images if image.cube or image.label}
+    images = [image for image in decode(case).images if image.cube or image.label]
+    files = {image.name: case.parent / str(image.cube or image.label) for image in images}
     when = datetime.fromtimestamp((record if record.is_file() else path).stat().st_mtime, UTC)
     paths, notes, new = write_cubes(solution, folder, files, when)
     return _Written(paths, (*notes, *["Each copy takes the place of its cube, too."] * settings.update), new)

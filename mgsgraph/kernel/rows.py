@@ -6,6 +6,7 @@ stored observation by observation and component by component, contiguous over it
 as SIMD vectors. `mgsgraph.adjustment.graph` fills the arrays from a network; the kernels take the tuples as they stand.
 """
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -174,6 +175,14 @@ def of_points(rows: Rows, piece: int, inside: Index) -> Rows:
         weight=rows.weight[:, observation : last[1]].reshape(2, -1, count)[:, :, inside].reshape(2, -1),
         piece=np.array([[pattern, 0, inside.size, 0, 0]]),
     )
+
+
+def neighboring_pieces(begins: Index, most: int) -> list[tuple[int, int]]:
+    """First piece, and the one after the last, of neighbors that hold about `most` elements together; those of each
+    piece begin at `begins` (m + 1,).
+    """
+    edges = np.unique(np.searchsorted(begins, [*range(0, begins[-1], most), begins[-1]])).tolist()
+    return list(pairwise(edges))
 
 
 def partition(rows: Rows, first_piece: int, last_piece: int) -> Rows:

@@ -2,7 +2,6 @@
 eliminated inside (variable projection; Golub & Pereyra 1973). The explicit form is `adjustment.factor_graph`.
 """
 
-from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
@@ -18,6 +17,7 @@ from mgsgraph.kernel.rows import (
     Model,
     NormalBlocks,
     Rows,
+    neighboring_pieces,
     partition,
 )
 from mgsgraph.kernel.sweep import SYSTEM, Reduction, all_residuals, point_covariances, reduce
@@ -64,8 +64,7 @@ def numbers(
         of_part = order[slice(*np.searchsorted(ground, [begins[first], begins[last]], sorter=order))]
         chosen[of_part] = values[ground[of_part] - begins[first]]
 
-    edges = np.unique(np.searchsorted(begins, [*range(0, begins[-1], _AT_A_TIME), begins[-1]])).tolist()
-    in_threads(share, pairwise(edges))
+    in_threads(share, neighboring_pieces(begins, _AT_A_TIME))
     return of_all, chosen
 
 

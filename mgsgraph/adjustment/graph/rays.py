@@ -22,7 +22,7 @@ from mgsgraph.geometry.camera import Detector
 from mgsgraph.geometry.compiled_pose import set_vector, vector
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.trajectory import Pose
-from mgsgraph.kernel.rows import CAMERA, IMAGE, OPK_PAPER, OPK_PEER, PREDICTED, Model
+from mgsgraph.kernel.rows import CAMERA, IMAGE, OPK_PAPER, OPK_PEER, PREDICTED, Model, neighboring_pieces
 from mgsgraph.network import Network
 from mgsgraph.network.effects import SharedEffects, common_looks
 
@@ -101,9 +101,10 @@ class RayConstants:
         rays = np.diff(kinds[self._patterns.first])
         patterns = piece, before, self._patterns.first, rays, focal
         many = np.concatenate([[0], np.cumsum(piece[:, 2] * rays[piece[:, 0]])])
-        edges = np.unique(np.searchsorted(many, [*range(0, many[-1], _SHARE), many[-1]])).tolist()
         angles, order = self._model.angles, self._patterns.point_order
-        in_threads(lambda ends: crossings(*ends, angles, patterns, order, data, *crossing), list(pairwise(edges)))
+        in_threads(
+            lambda ends: crossings(*ends, angles, patterns, order, data, *crossing), neighboring_pieces(many, _SHARE)
+        )
 
     def _each(self, work: Callable[[int, _Rays], None]) -> None:
         """Call a function for each image and some of its rays, in threads."""
@@ -134,13 +135,12 @@ class RayConstants:
 
     def fill_scales(self, data: Array, starts: Array) -> None:
         """The scale of the measured-line form, from the image motion of points at their starting positions (n, 3)."""
-        rays = self._network.rays
+        rays, first = self._network.rays, 9 if self._model.angles == CAMERA else 8  # behind the detector pixel
 
         def rescale(j: int, k: _Rays) -> None:
             image, lines = self._network.images[j], rays.places[k, 0]
             pose, detector = image.pose(lines).in_axes(self._axes[j]), self._pixels(j, k)
             scale = frozen_scale(pose, image.interior.focal_length, starts[rays.point[k]], detector.slope)
-            first = attitudes(pose, self._model.angles).shape[1] + 5
             store(k, self._table, first, scale.reshape(-1, 4).T, data)
 
         self._each(rescale)
