@@ -1,15 +1,15 @@
-"""Covariances of the points by back-substitution: S_p = V^-1 + V^-1 W' S W V^-1, S that of the shared unknowns.
+"""Covariances of the points by back-substitution, S that of the shared unknowns.
 
-Per observation pair S is first taken to the observations' states (pose covariance at their lines), then through Y = W
-L^-T: S_p = L^-T (1 + sum_ij Y_i' S_ij Y_j) L^-1.
+Per observation pair S is first taken to the observations' states (pose covariance at their lines), then to their rows.
+With J, L and P as in `mgsgraph.kernel.elimination`, (J U)_i = sum_j J_i S_ij J_j' P_j and M = 1 + sum_i P_i' (J U)_i, a
+point's covariance is L^-T M L^-1.
 
 And the reliability of measures: how much each determines its own adjusted value, and what an error in it does to the
 point. With A the whitened rows and Q the covariance of all unknowns, the adjusted measures have the covariance
 H = A Q A' and the residuals I - H (Baarda 1968; Foerstner & Wrobel 2016, section 4.6). The diagonal of H is the
-measures' leverage, that of I - H their redundancy numbers. Per point, with B, W, L and J as in
-`mgsgraph.kernel.elimination`, P = B L^-T, Y = W L^-T and S the covariance of the observations' states, all that is
-needed of Q is U_i = sum_j S_ij Y_j and M = 1 + sum_i Y_i' U_i: H_i = P_i M P_i' - P_i (J_i U_i)' - (J_i U_i) P_i' +
-J_i S_ii J_i'. An error e in the rows moves the point by -L^-T (M P_i' - (J_i U_i)') e.
+measures' leverage, that of I - H their redundancy numbers:
+H_i = P_i M P_i' - P_i (J U)_i' - (J U)_i P_i' + J_i S_ii J_i'. An error e in the rows moves the point by
+-L^-T (M P_i' - (J U)_i') e.
 """
 
 import numpy as np
@@ -18,23 +18,20 @@ from mgsgraph.kernel.elimination import couple_all
 from mgsgraph.kernel.lanes import (
     B_L,
     BASIS,
-    BY_POINT,
+    BETWEEN,
+    BETWEEN_STATES,
     BY_STATE,
-    COUPLED,
-    COVARIED,
-    COVARIED_PAIR,
     ERROR,
     FACTOR,
     J_U,
     LANES,
     MIDDLE,
-    PAIR,
+    MIXED,
     PRODUCT,
     RESIDUAL,
     RESULT,
     ROW,
     SHARED_PART,
-    STATE_WIDTH,
     STATUS,
     TILE,
     WIDTH,
@@ -48,6 +45,7 @@ from mgsgraph.kernel.tile import (
     END,
     PATTERN,
     block_index,
+    copy_block,
     observation_columns,
     observation_index,
     observations_of,
@@ -74,10 +72,10 @@ def lift(rows, i, e, a, s):
 
 
 @inlined
-def state_covariance(rows, groups, target, segments, count, joint, i, j, begin, w, s, t):
-    """PAIR: covariance (9, 9) between the states of two observations."""
-    for r in range(STATE_WIDTH * WIDTH):
-        w[PAIR + r] = 0.0
+def state_covariance(rows, groups, target, segments, count, joint, i, j, begin, w, s, t, pair):
+    """Covariance S_ij (9, 9) between the states of two observations."""
+    for r in range(BETWEEN_STATES):
+        pair[r] = 0.0
     components_i, components_j = observation_columns(rows, i)[0], observation_columns(rows, j)[0]
     for p in range(rows.observation_terms[i]):
         for q in range(rows.observation_terms[j]):
@@ -93,16 +91,16 @@ def state_covariance(rows, groups, target, segments, count, joint, i, j, begin, 
                 for a in range(components_i):
                     for b in range(components_j):
                         value = joint[start + a * down + b * across]
-                        m = PAIR + a * WIDTH + b * LANES
+                        m = a * WIDTH + b * LANES
                         for l in range(segments[k, BEGIN], segments[k, END]):
-                            w[m + l] += value * w[PRODUCT + l]
+                            pair[m + l] += value * w[PRODUCT + l]
     if rows.observation_shared[i] + rows.observation_shared[j] > 0:
         for k in range(count):
-            singles_covariance(rows, groups, target, segments, k, joint, i, j, begin, w, s, t)
+            singles_covariance(rows, groups, target, segments, k, joint, i, j, begin, w, s, t, pair)
 
 
 @inlined
-def singles_covariance(rows, groups, target, segments, k, joint, i, j, begin, w, s, t):
+def singles_covariance(rows, groups, target, segments, k, joint, i, j, begin, w, s, t, pair):
     """Add, in a segment, the share of pairs of entries of which one at least is a single column."""
     pattern = segments[k, PATTERN]
     first, group = rows.pattern_observation[pattern] - begin, rows.pattern_group[pattern]
@@ -115,43 +113,91 @@ def singles_covariance(rows, groups, target, segments, k, joint, i, j, begin, w,
                 left = lift(rows, i, e, a, s)
                 for b in range(entry_columns(rows, j, f)):
                     value = joint[start + a * down + b * across]
-                    add_lifted(value, left, lift(rows, j, f, b, t), segments[k, BEGIN], segments[k, END], w)
+                    add_lifted(value, left, lift(rows, j, f, b, t), segments[k, BEGIN], segments[k, END], w, pair)
 
 
 @lane
-def add_lifted(value, left, right, first, last, w):
-    """Add to PAIR the covariance of two columns, each as it acts on its observation's state (`lift`)."""
+def add_lifted(value, left, right, first, last, w, pair):
+    """Add to S_ij the covariance of two columns, each as it acts on its observation's state (`lift`)."""
     from_left, left_step, left_begin, left_end = left
     from_right, right_step, right_begin, right_end = right
     for a in range(left_begin, left_end):
         for b in range(right_begin, right_end):
-            k = PAIR + a * WIDTH + b * LANES
+            k = a * WIDTH + b * LANES
             for l in range(first, last):
-                w[k + l] += value * w[from_left + a * left_step + l] * w[from_right + b * right_step + l]
+                pair[k + l] += value * w[from_left + a * left_step + l] * w[from_right + b * right_step + l]
 
 
 @lane
-def through_coupling(width_i, width_j, twice, w, y, c, d):
-    """Add Y_i' PAIR Y_j to MIDDLE, and its transpose if `twice`."""
-    for a in range(width_i):
-        for e in range(3):
-            u = COVARIED_PAIR + (3 * a + e) * LANES
+def state_to_rows(count_i, count_j, width_i, width_j, w, s, t, pair):
+    """BETWEEN: J_i S_ij J_j', between the rows of two observations."""
+    f, g = s + RESULT + BY_STATE, t + RESULT + BY_STATE
+    for row in range(count_i):
+        for b in range(width_j):
             for l in range(LANES):
-                w[u + l] = 0.0
-            for b in range(width_j):
-                k, z = PAIR + a * WIDTH + b * LANES, d + (3 * b + e) * LANES
-                for l in range(LANES):
-                    w[u + l] += w[k + l] * y[z + l]
-    index = 0
-    for b in range(3):
-        for e in range(b, 3):
+                w[MIXED + b * LANES + l] = 0.0
             for a in range(width_i):
-                z, u = c + 3 * a * LANES, COVARIED_PAIR + 3 * a * LANES
                 for l in range(LANES):
-                    w[MIDDLE + index * LANES + l] += y[z + b * LANES + l] * w[u + e * LANES + l]
-                for l in range(LANES if twice else 0):
-                    w[MIDDLE + index * LANES + l] += y[z + e * LANES + l] * w[u + b * LANES + l]
-            index += 1
+                    w[MIXED + b * LANES + l] += w[f + row * ROW + a * LANES + l] * pair[a * WIDTH + b * LANES + l]
+        for column in range(count_j):
+            k = BETWEEN + (3 * row + column) * LANES
+            for l in range(LANES):
+                w[k + l] = 0.0
+            for b in range(width_j):
+                for l in range(LANES):
+                    w[k + l] += w[MIXED + b * LANES + l] * w[g + column * ROW + b * LANES + l]
+
+
+@lane
+def add_covaried(count_i, count_j, down, across, w, s, t):
+    """Add BETWEEN P_j to (J U)_i; its rows are `down` apart, its columns `across`."""
+    for row in range(count_i):
+        for column in range(count_j):
+            k = BETWEEN + (row * down + column * across) * LANES
+            for c in range(3):
+                u, p = s + J_U + (3 * row + c) * LANES, t + B_L + (3 * column + c) * LANES
+                for l in range(LANES):
+                    w[u + l] += w[k + l] * w[p + l]
+
+
+@lane
+def add_middle(count, w, s):
+    """Add P' J U of an observation to MIDDLE."""
+    for row in range(count):
+        index = MIDDLE
+        for b in range(3):
+            for c in range(b, 3):
+                p, u = s + B_L + (3 * row + b) * LANES, s + J_U + (3 * row + c) * LANES
+                for l in range(LANES):
+                    w[index + l] += w[p + l] * w[u + l]
+                index += LANES
+
+
+@lane
+def covary(rows, groups, target, model, segments, count, joint, w, depth, pair):
+    """J_U and SHARED_PART of a tile's observations, whose rows and L are there, and MIDDLE."""
+    couple_all(rows, model, segments, w, depth)
+    begin, end = observations_of(rows, segments)
+    for i in range(begin, end):
+        s = TILE + (i - begin) * depth
+        for r in range(9 * LANES):
+            w[s + J_U + r] = 0.0
+            w[s + SHARED_PART + r] = 0.0
+    for i in range(begin, end):
+        s, count_i = TILE + (i - begin) * depth, row_count(rows.observation_kind[i])
+        for j in range(i, end):
+            if observation_columns(rows, i)[1] > 0 and observation_columns(rows, j)[1] > 0:
+                t, count_j = TILE + (j - begin) * depth, row_count(rows.observation_kind[j])
+                state_covariance(rows, groups, target, segments, count, joint, i, j, begin, w, s, t, pair)
+                state_to_rows(count_i, count_j, rows.observation_width[i], rows.observation_width[j], w, s, t, pair)
+                add_covaried(count_i, count_j, 3, 1, w, s, t)
+                if i == j:
+                    copy_block(w, BETWEEN, s + SHARED_PART, 9 * LANES)
+                else:
+                    add_covaried(count_j, count_i, 1, 3, w, t, s)
+    begin_middle(w)
+    for i in range(begin, end):
+        add_middle(row_count(rows.observation_kind[i]), w, TILE + (i - begin) * depth)
 
 
 @lane
@@ -196,21 +242,12 @@ def store(rows, point, first, last, w, covariances):
 
 
 @lane
-def covariance_tile(rows, groups, target, model, segments, count, joint, w, depth, y, covariances):
+def covariance_tile(rows, groups, target, model, segments, count, joint, w, depth, pair, covariances):
     """Covariances (n, 3, 3) in m^2 of a tile's points, whose rows and L are there; zero for known ones.
 
     `joint` holds the covariance of the shared unknowns in the blocks that `target` describes.
     """
-    couple_all(rows, model, segments, w, depth, y)
-    begin_middle(w)
-    begin, end = observations_of(rows, segments)
-    for i in range(begin, end):
-        s = TILE + (i - begin) * depth
-        for j in range(i, end):
-            if observation_columns(rows, i)[1] > 0 and observation_columns(rows, j)[1] > 0:
-                t, widths = TILE + (j - begin) * depth, (rows.observation_width[i], rows.observation_width[j])
-                state_covariance(rows, groups, target, segments, count, joint, i, j, begin, w, s, t)
-                through_coupling(*widths, i != j, w, y, (i - begin) * COUPLED, (j - begin) * COUPLED)
+    covary(rows, groups, target, model, segments, count, joint, w, depth, pair)
     for k in range(count):
         store(rows, point_of(rows, segments, k), segments[k, BEGIN], segments[k, END], w, covariances)
 
@@ -221,50 +258,6 @@ NUMBERS = 7
 
 
 @lane
-def add_covaried(width_i, width_j, transposed, w, s, y, d):
-    """Add PAIR Y_j, whose coupling begins at d, to U_i, or PAIR' Y_j if `transposed` (then PAIR is that of j and i)."""
-    for a in range(width_i):
-        for b in range(width_j):
-            k = PAIR + (b * WIDTH + a * LANES if transposed else a * WIDTH + b * LANES)
-            u, z = s + COVARIED + 3 * a * LANES, d + 3 * b * LANES
-            for l in range(LANES):
-                w[u + l] += w[k + l] * y[z + l]
-                w[u + LANES + l] += w[k + l] * y[z + LANES + l]
-                w[u + 2 * LANES + l] += w[k + l] * y[z + 2 * LANES + l]
-
-
-@lane
-def own_share(count, width, w, s):
-    """SHARED_PART: J PAIR J' of an observation with itself."""
-    index = 0
-    for row in range(count):
-        for column in range(row, count):
-            sink = s + SHARED_PART + index * LANES
-            for l in range(LANES):
-                w[sink + l] = 0.0
-            for a in range(width):
-                for b in range(width):
-                    k, left = PAIR + a * WIDTH + b * LANES, s + RESULT + BY_STATE + row * ROW + a * LANES
-                    right = s + RESULT + BY_STATE + column * ROW + b * LANES
-                    for l in range(LANES):
-                        w[sink + l] += w[left + l] * w[k + l] * w[right + l]
-            index += 1
-
-
-@lane
-def add_middle(width, w, s, y, d):
-    """Add Y' U of an observation to MIDDLE."""
-    index = 0
-    for b in range(3):
-        for c in range(b, 3):
-            for a in range(width):
-                z, u = d + (3 * a + b) * LANES, s + COVARIED + (3 * a + c) * LANES
-                for l in range(LANES):
-                    w[MIDDLE + index * LANES + l] += y[z + l] * w[u + l]
-            index += 1
-
-
-@lane
 def middle(b, c):
     """First register of an element of MIDDLE."""
     low, high = min(b, c), max(b, c)
@@ -272,54 +265,39 @@ def middle(b, c):
 
 
 @lane
-def through_point(count, width, linked, w, s):
-    """J_U, B_L and ERROR, row by row of an observation: J U, P = B L^-T, and M P' - (J U)'."""
+def find_errors(count, w, s):
+    """ERROR of an observation, row by row: M P' - (J U)'."""
     for row in range(count):
-        ju, p, e = J_U + 3 * row * LANES, B_L + 3 * row * LANES, ERROR + 3 * row * LANES
-        b = s + RESULT + BY_POINT + row * ROW
-        for l in range(LANES):
-            p0 = w[b + l] * w[FACTOR + l]
-            p1 = (w[b + LANES + l] - w[FACTOR + LANES + l] * p0) * w[FACTOR + 2 * LANES + l]
-            p2 = w[b + 2 * LANES + l] - w[FACTOR + 3 * LANES + l] * p0 - w[FACTOR + 4 * LANES + l] * p1
-            w[p + l], w[p + LANES + l], w[p + 2 * LANES + l] = p0, p1, p2 * w[FACTOR + 5 * LANES + l]
-        for c in range(3):
-            for l in range(LANES):
-                w[ju + c * LANES + l] = 0.0
-            for a in range(width if linked else 0):
-                state, u = s + RESULT + BY_STATE + row * ROW + a * LANES, s + COVARIED + (3 * a + c) * LANES
-                for l in range(LANES):
-                    w[ju + c * LANES + l] += w[state + l] * w[u + l]
+        p, u, e = s + B_L + 3 * row * LANES, s + J_U + 3 * row * LANES, ERROR + 3 * row * LANES
         for c in range(3):
             m0, m1, m2 = middle(c, 0), middle(c, 1), middle(c, 2)
             for l in range(LANES):
                 mp = w[m0 + l] * w[p + l] + w[m1 + l] * w[p + LANES + l] + w[m2 + l] * w[p + 2 * LANES + l]
-                w[e + c * LANES + l] = mp - w[ju + c * LANES + l]
+                w[e + c * LANES + l] = mp - w[u + c * LANES + l]
 
 
 @lane
-def share(row, column, l, w):
+def share(row, column, l, w, s):
     """Element of H without J S J': P_row (M P' - (J U)')_other - (J U)_row P_other'."""
     total = 0.0
     for c in range(3):
-        total += w[B_L + (3 * row + c) * LANES + l] * w[ERROR + (3 * column + c) * LANES + l]
-        total -= w[J_U + (3 * row + c) * LANES + l] * w[B_L + (3 * column + c) * LANES + l]
+        total += w[s + B_L + (3 * row + c) * LANES + l] * w[ERROR + (3 * column + c) * LANES + l]
+        total -= w[s + J_U + (3 * row + c) * LANES + l] * w[s + B_L + (3 * column + c) * LANES + l]
     return total
 
 
 @inlined
-def store_observation(rows, count, linked, at, point, first, last, w, s, values):
+def store_observation(rows, count, at, point, first, last, w, s, values):
     """`NUMBERS` of each row of an observation, lanes first .. last; NaN where the point is out or weak."""
     for l in range(first, last):
         valid = (rows.kind[point + l] != OUT) & (w[STATUS + l] != WEAK)
-        index = 0
         for row in range(count):
             values[at + l, row, 0] = w[s + RESULT + RESIDUAL + row * ROW + l] if valid else np.nan
             for column in range(row, count):
-                value = share(row, column, l, w) + (w[s + SHARED_PART + index * LANES + l] if linked else 0.0)
+                value = share(row, column, l, w, s) + w[s + SHARED_PART + (3 * row + column) * LANES + l]
                 value = value if valid else np.nan
                 values[at + l, row, 1 + column] = value
                 values[at + l, column, 1 + row] = value
-                index += 1
             e = ERROR + 3 * row * LANES
             z2 = w[e + 2 * LANES + l] * w[FACTOR + 5 * LANES + l]
             z1 = (w[e + LANES + l] - w[FACTOR + 4 * LANES + l] * z2) * w[FACTOR + 2 * LANES + l]
@@ -330,33 +308,13 @@ def store_observation(rows, count, linked, at, point, first, last, w, s, values)
 
 
 @lane
-def reliability_tile(rows, groups, target, model, segments, count, joint, w, depth, y, values):
+def reliability_tile(rows, groups, target, model, segments, count, joint, w, depth, pair, values):
     """`NUMBERS` of all rows of a tile's points, whose rows and L are there; `joint` as for covariances."""
-    couple_all(rows, model, segments, w, depth, y)
-    begin_middle(w)
+    covary(rows, groups, target, model, segments, count, joint, w, depth, pair)
     begin, end = observations_of(rows, segments)
     for i in range(begin, end):
-        u = TILE + (i - begin) * depth + COVARIED
-        for r in range(3 * WIDTH):
-            w[u + r] = 0.0
-    for i in range(begin, end):
-        s, width_i = TILE + (i - begin) * depth, rows.observation_width[i]
-        for j in range(i, end):
-            if observation_columns(rows, i)[1] > 0 and observation_columns(rows, j)[1] > 0:
-                t, width_j = TILE + (j - begin) * depth, rows.observation_width[j]
-                state_covariance(rows, groups, target, segments, count, joint, i, j, begin, w, s, t)
-                add_covaried(width_i, width_j, False, w, s, y, (j - begin) * COUPLED)
-                if i == j:
-                    own_share(row_count(rows.observation_kind[i]), width_i, w, s)
-                else:
-                    add_covaried(width_j, width_i, True, w, t, y, (i - begin) * COUPLED)
-    for i in range(begin, end):
-        if observation_columns(rows, i)[1] > 0:
-            add_middle(rows.observation_width[i], w, TILE + (i - begin) * depth, y, (i - begin) * COUPLED)
-    for i in range(begin, end):
-        s, linked = TILE + (i - begin) * depth, observation_columns(rows, i)[1] > 0
-        rows_of = row_count(rows.observation_kind[i])
-        through_point(rows_of, rows.observation_width[i], linked, w, s)
+        s, rows_of = TILE + (i - begin) * depth, row_count(rows.observation_kind[i])
+        find_errors(rows_of, w, s)
         for k in range(count):
             at, point = observation_index(rows, segments, k, i - begin), point_of(rows, segments, k)
-            store_observation(rows, rows_of, linked, at, point, segments[k, BEGIN], segments[k, END], w, s, values)
+            store_observation(rows, rows_of, at, point, segments[k, BEGIN], segments[k, END], w, s, values)

@@ -1,11 +1,11 @@
 """Points at one orientation: each is solved by Gauss-Newton to a fixed tolerance, then eliminated exactly (Schur
 complement), and what is left is summed over all of them.
 
-With J the rows by the unknowns, B by the point and V = B'B = L L', a point leaves J'J - W V^-1 W' with W = J'B. An
-observation feels the unknowns through its state (pose correction at its line): J = G' J_state with G its basis values
-and directions. So the small matrices K_ij between states are formed per point, and only their sums over points,
-weighted with products of basis values, reach the size of the unknowns: 36 x 9 products for two polynomials of degree
-two.
+With J the rows by the unknowns, B by the point, B'B = L L' and P = B L^-T, a point leaves J' (1 - P P') J. An
+observation feels the unknowns through its state (pose correction at its line): J = J_state G' with G its basis values
+and directions. So the small matrices K_ij = J_i' (1 - P P')_ij J_j between states are formed per point, and only their
+sums over points, weighted with products of basis values, reach the size of the unknowns: 36 x 9 products for two
+polynomials of degree two.
 
 For the sums the numbers of K_ij are laid side by side, lane by lane: no sum over lanes has to be ended, and a segment's
 sums lie as their block does, so that one of five points costs per point hardly more than one of a thousand.
@@ -13,37 +13,36 @@ sums lie as their block does, so that one of five points costs per point hardly 
 
 import numpy as np
 
-from mgsgraph.factors.algebra import add, dot, scale
+from mgsgraph.factors.algebra import dot
 from mgsgraph.factors.loss import HUBER_WIDTH
 from mgsgraph.kernel.lanes import (
     ACTIVE,
+    B_L,
     BASIS,
+    BETWEEN,
     BY_POINT,
     BY_STATE,
     COLUMN,
     COST,
-    COUPLED,
     FACTOR,
     FORWARD,
     FOUR,
     GRADIENT,
     LANES,
     LINE_OFFSET,
+    MIXED,
     MOST_SUMS,
     NORMAL,
-    PAIR,
     POINT,
     RESIDUAL,
     RESULT,
     RIGHT,
     ROW,
-    STATE_WIDTH,
     STATUS,
     STEP_SQUARED,
     TILE,
     WIDTH,
     accumulate_nine,
-    accumulate_nine_twice,
     accumulate_one,
     accumulate_one_twice,
     accumulate_two,
@@ -91,43 +90,28 @@ def leave_out_unsolved(count, width, w, s):
                 w[state + l] = w[state + l] if w[STATUS + l] == GOOD else 0.0
 
 
-@inlined
-def put_coupling(w, y, place, right, l, a, r):
-    """Y = a L^-T of a row a of W, and right side r - Y L^-1 g, lane l."""
-    y0 = a[0] * w[FACTOR + l]
-    y1 = (a[1] - w[FACTOR + LANES + l] * y0) * w[FACTOR + 2 * LANES + l]
-    y2 = a[2] - w[FACTOR + 3 * LANES + l] * y0 - w[FACTOR + 4 * LANES + l] * y1
-    y2 *= w[FACTOR + 5 * LANES + l]
-    y[place + l], y[place + LANES + l], y[place + 2 * LANES + l] = y0, y1, y2
-    w[right + l] = r - dot((y0, y1, y2), vector(w, FORWARD, l))
+@lane
+def couple(count, width, w, s):
+    """P = B L^-T of an observation's rows, and RIGHT J'(r - P L^-1 g)."""
+    for row in range(count):
+        b, p, r = s + RESULT + BY_POINT + row * ROW, s + B_L + 3 * row * LANES, s + RESULT + RESIDUAL + row * ROW
+        for l in range(LANES):
+            p0 = w[b + l] * w[FACTOR + l]
+            p1 = (w[b + LANES + l] - w[FACTOR + LANES + l] * p0) * w[FACTOR + 2 * LANES + l]
+            p2 = w[b + 2 * LANES + l] - w[FACTOR + 3 * LANES + l] * p0 - w[FACTOR + 4 * LANES + l] * p1
+            p2 *= w[FACTOR + 5 * LANES + l]
+            w[p + l], w[p + LANES + l], w[p + 2 * LANES + l] = p0, p1, p2
+            w[MIXED + l] = w[r + l] - dot((p0, p1, p2), vector(w, FORWARD, l))
+        for a in range(width):
+            state, right = s + RESULT + BY_STATE + row * ROW + a * LANES, s + RIGHT + a * LANES
+            for l in range(LANES):
+                value = w[state + l] * w[MIXED + l]
+                w[right + l] = value if row == 0 else w[right + l] + value
 
 
 @lane
-def couple(count, width, w, s, y, c):
-    """Y = W L^-T from register c of the coupling on, and RIGHT J'r - Y L^-1 g, of an observation, W = J_state' B."""
-    b, r = s + RESULT + BY_POINT, s + RESULT + RESIDUAL
-    for a in range(width):
-        f, right, place = s + RESULT + BY_STATE + a * LANES, s + RIGHT + a * LANES, c + 3 * a * LANES
-        if count == 1:
-            for l in range(LANES):
-                put_coupling(w, y, place, right, l, scale(w[f + l], vector(w, b, l)), w[f + l] * w[r + l])
-        elif count == 2:
-            for l in range(LANES):
-                u, v = w[f + l], w[f + ROW + l]
-                row = add(scale(u, vector(w, b, l)), scale(v, vector(w, b + ROW, l)))
-                put_coupling(w, y, place, right, l, row, u * w[r + l] + v * w[r + ROW + l])
-        else:
-            for l in range(LANES):
-                u, v, z = w[f + l], w[f + ROW + l], w[f + 2 * ROW + l]
-                row = add(scale(u, vector(w, b, l)), scale(v, vector(w, b + ROW, l)))
-                row = add(row, scale(z, vector(w, b + 2 * ROW, l)))
-                rest = u * w[r + l] + v * w[r + ROW + l] + z * w[r + 2 * ROW + l]
-                put_coupling(w, y, place, right, l, row, rest)
-
-
-@lane
-def couple_all(rows, model, segments, w, depth, y):
-    """Coupling and RIGHT of all observations that depend on an unknown."""
+def couple_all(rows, model, segments, w, depth):
+    """P and RIGHT of all observations."""
     begin, end = observations_of(rows, segments)
     lost = not all_good(w)
     if rows.pattern_fixed[segments[0, PATTERN]]:  # known points have nothing to eliminate: an endless L
@@ -136,54 +120,74 @@ def couple_all(rows, model, segments, w, depth, y):
         for r in range(3 * LANES):
             w[FORWARD + r] = 0.0
     for i in range(begin, end):
-        s = TILE + (i - begin) * depth
-        if observation_columns(rows, i)[1] > 0:
-            if lost:
-                leave_out_unsolved(row_count(rows.observation_kind[i]), rows.observation_width[i], w, s)
-            if model.line == PREDICTED:
-                move_basis(rows, i, w, s)
-            couple(row_count(rows.observation_kind[i]), rows.observation_width[i], w, s, y, (i - begin) * COUPLED)
+        s, count, width = TILE + (i - begin) * depth, row_count(rows.observation_kind[i]), rows.observation_width[i]
+        if lost:
+            leave_out_unsolved(count, width, w, s)
+        if model.line == PREDICTED:
+            move_basis(rows, i, w, s)
+        couple(count, width, w, s)
 
 
 @inlined
-def put_products(w, k, y, z0, z1, z2, z3, z4, z5):
-    """A row of -Y_i Y_j', six registers."""
-    w[k], w[k + LANES], w[k + 2 * LANES] = -dot(y, z0), -dot(y, z1), -dot(y, z2)
-    w[k + 3 * LANES], w[k + 4 * LANES], w[k + 5 * LANES] = -dot(y, z3), -dot(y, z4), -dot(y, z5)
+def mixed(w, j, l, m0, m1):
+    """Three numbers of a row times m0, and of the next row times m1."""
+    first, second = vector(w, j, l), vector(w, j + ROW, l)
+    return m0 * first[0] + m1 * second[0], m0 * first[1] + m1 * second[1], m0 * first[2] + m1 * second[2]
+
+
+@inlined
+def put_products(w, f, l, pair, k, first, second):
+    """Three numbers of a row of `pair`: one of each row of J_i times three of either row of M J_j."""
+    u, v = w[f + l], w[f + ROW + l]
+    pair[k + l] = u * first[0] + v * second[0]
+    pair[k + LANES + l] = u * first[1] + v * second[1]
+    pair[k + 2 * LANES + l] = u * first[2] + v * second[2]
 
 
 @lane
-def pose_pair(w, y, c, d):
-    """PAIR: -Y_i Y_j' between the poses of two observations, whose coupling begins at c and d; each number is read
-    once.
+def pose_pair(own, w, s, t, pair):
+    """J_i' M J_j between the poses of two rays, M = 1 - P_i P_j' of a ray with itself (`own` 1.0), else -P_i P_j'.
+
+    Twelve numbers are kept in a processor's sixteen registers.
     """
+    f, g = s + RESULT + BY_STATE, t + RESULT + BY_STATE
     for l in range(LANES):
-        z0, z1, z2 = vector(y, d, l), vector(y, d + 3 * LANES, l), vector(y, d + 6 * LANES, l)
-        z3, z4, z5 = vector(y, d + 9 * LANES, l), vector(y, d + 12 * LANES, l), vector(y, d + 15 * LANES, l)
-        put_products(w, PAIR + l, vector(y, c, l), z0, z1, z2, z3, z4, z5)
-        put_products(w, PAIR + WIDTH + l, vector(y, c + 3 * LANES, l), z0, z1, z2, z3, z4, z5)
-        put_products(w, PAIR + 2 * WIDTH + l, vector(y, c + 6 * LANES, l), z0, z1, z2, z3, z4, z5)
-        put_products(w, PAIR + 3 * WIDTH + l, vector(y, c + 9 * LANES, l), z0, z1, z2, z3, z4, z5)
-        put_products(w, PAIR + 4 * WIDTH + l, vector(y, c + 12 * LANES, l), z0, z1, z2, z3, z4, z5)
-        put_products(w, PAIR + 5 * WIDTH + l, vector(y, c + 15 * LANES, l), z0, z1, z2, z3, z4, z5)
+        p0, p1 = vector(w, s + B_L, l), vector(w, s + B_L + 3 * LANES, l)
+        q0, q1 = vector(w, t + B_L, l), vector(w, t + B_L + 3 * LANES, l)
+        m00, m01, m10, m11 = own - dot(p0, q0), -dot(p0, q1), -dot(p1, q0), own - dot(p1, q1)
+        first, second = mixed(w, g, l, m00, m01), mixed(w, g, l, m10, m11)
+        third, fourth = mixed(w, g + 3 * LANES, l, m00, m01), mixed(w, g + 3 * LANES, l, m10, m11)
+        for a in range(6):
+            put_products(w, f + a * LANES, l, pair, a * WIDTH, first, second)
+            put_products(w, f + a * LANES, l, pair, a * WIDTH + 3 * LANES, third, fourth)
 
 
 @lane
-def state_pair(count, first_width, second_width, same, w, s, y, c, d):
-    """PAIR: K_ij = (J_i'J_i, if the same) - Y_i Y_j' between two observations' states; a <= b alone, if the same."""
-    if first_width == 6 and second_width == 6:
-        pose_pair(w, y, c, d)
-    for a in range(first_width):
-        place = c + 3 * a * LANES
-        for b in range(a if same else 0, second_width):
-            z, k = d + 3 * b * LANES, PAIR + a * WIDTH + b * LANES
-            if first_width != 6 or second_width != 6:
+def state_pair(count_i, count_j, width_i, width_j, own, w, s, t, pair):
+    """K_ij = J_i' M J_j between two observations' states, M = 1 - P_i P_j' of one with itself (`own` 1.0), else
+    -P_i P_j'.
+    """
+    if count_i == 2 and count_j == 2 and width_i == 6 and width_j == 6:
+        pose_pair(own, w, s, t, pair)
+        return
+    f, g = s + RESULT + BY_STATE, t + RESULT + BY_STATE
+    for row in range(count_i):
+        for b in range(width_j):
+            for l in range(LANES):
+                w[MIXED + b * LANES + l] = 0.0
+        for column in range(count_j):
+            p, q, unit = s + B_L + 3 * row * LANES, t + B_L + 3 * column * LANES, own if row == column else 0.0
+            for l in range(LANES):
+                w[BETWEEN + l] = unit - dot(vector(w, p, l), vector(w, q, l))
+            for b in range(width_j):
                 for l in range(LANES):
-                    w[k + l] = -dot(vector(y, place, l), vector(y, z, l))
-            f, g = s + RESULT + BY_STATE + a * LANES, s + RESULT + BY_STATE + b * LANES
-            for row in range(count if same else 0):
+                    w[MIXED + b * LANES + l] += w[BETWEEN + l] * w[g + column * ROW + b * LANES + l]
+        for a in range(width_i):
+            for b in range(width_j):
+                k = a * WIDTH + b * LANES
                 for l in range(LANES):
-                    w[k + l] += w[f + row * ROW + l] * w[g + row * ROW + l]
+                    value = w[f + row * ROW + a * LANES + l] * w[MIXED + b * LANES + l]
+                    pair[k + l] = value if row == 0 else pair[k + l] + value
 
 
 @inlined
@@ -193,16 +197,16 @@ def fours(count):
 
 
 @lane
-def transpose_lanes(count, columns, row, same, first, w, transposed):
+def transpose_lanes(count, columns, row, first, w, transposed):
     """Numbers (count / columns, columns) of registers from `first` on, whose rows are `row` apart, lane by lane: how
-    many there are for each, in fours. If the `same`, the lower triangle is that of the upper one.
+    many there are for each, in fours.
     """
     stride, a, b = fours(count), 0, 0
     for e in range(0, stride, FOUR):
-        first_number, a, b = register_of(a, b, columns, row, same)
-        second, a, b = register_of(a, b, columns, row, same)
-        third, a, b = register_of(a, b, columns, row, same)
-        fourth, a, b = register_of(a, b, columns, row, same)
+        first_number, a, b = register_of(a, b, columns, row)
+        second, a, b = register_of(a, b, columns, row)
+        third, a, b = register_of(a, b, columns, row)
+        fourth, a, b = register_of(a, b, columns, row)
         for l in range(0, LANES, FOUR):
             k = first + l
             transpose_four(w, k + first_number, k + second, k + third, k + fourth, transposed, l * stride + e, stride)
@@ -210,9 +214,9 @@ def transpose_lanes(count, columns, row, same, first, w, transposed):
 
 
 @inlined
-def register_of(a, b, columns, row, same):
+def register_of(a, b, columns, row):
     """Register of a number (a, b), from the first one on; and the next number. Beyond the last one all goes on."""
-    register = min(a, b) * row + max(a, b) * LANES if same else a * row + b * LANES
+    register = a * row + b * LANES
     return (register, a, b + 1) if b + 1 < columns else (register, a + 1, 0)
 
 
@@ -222,10 +226,8 @@ def weighted_sums(first, last, weights, weight, in_pairs, transposed, stride, su
     `in_pairs`, with the next register from MOST_SUMS beyond.
     """
     if stride == MOST_SUMS:
-        if in_pairs:
-            accumulate_nine_twice(weights, weight, first, last, transposed, 0, stride, sums, to)
-        else:
-            accumulate_nine(weights, weight, first, last, transposed, 0, stride, sums, to)
+        for k in range(2 if in_pairs else 1):
+            accumulate_nine(weights, weight + k * LANES, first, last, transposed, 0, stride, sums, to + k * MOST_SUMS)
         return
     k = 0
     while k + 2 * FOUR <= stride:
@@ -251,36 +253,34 @@ def lane_dot(first, last, w, a, b):
 
 
 @lane
-def times_direction(first_width, second_width, same, w, direction):
+def times_direction(first_width, second_width, w, direction, pair):
     """COLUMN: K_ij times a direction in the second observation's state."""
     for a in range(first_width):
         for l in range(LANES):
             w[COLUMN + a * LANES + l] = 0.0
         for b in range(second_width):
-            k = PAIR + (STATE_WIDTH * (b if same and b < a else a) + (a if same and b < a else b)) * LANES
             for l in range(LANES):
-                w[COLUMN + a * LANES + l] += w[k + l] * w[direction + b * LANES + l]
+                w[COLUMN + a * LANES + l] += pair[a * WIDTH + b * LANES + l] * w[direction + b * LANES + l]
 
 
 @lane
-def direction_times(first_width, second_width, w, direction):
+def direction_times(first_width, second_width, w, direction, pair):
     """COLUMN: a direction in the first observation's state times K_ij, i != j."""
     for b in range(second_width):
         for l in range(LANES):
             w[COLUMN + b * LANES + l] = 0.0
         for a in range(first_width):
-            k = PAIR + (STATE_WIDTH * a + b) * LANES
             for l in range(LANES):
-                w[COLUMN + b * LANES + l] += w[k + l] * w[direction + a * LANES + l]
+                w[COLUMN + b * LANES + l] += pair[a * WIDTH + b * LANES + l] * w[direction + a * LANES + l]
 
 
 @inlined
-def sum_terms(rows, groups, target, segments, count, i, j, begin, w, s, t, buffers, blocks):
+def sum_terms(rows, groups, target, segments, count, i, j, begin, w, s, t, pair, buffers, blocks):
     """Add K_ij, weighted with products of basis values, to the blocks of the variables of each pair of terms."""
     transposed, weights, sums = buffers
     terms_i, terms_j, same = rows.observation_terms[i], rows.observation_terms[j], i == j
     components_i, components_j = observation_columns(rows, i)[0], observation_columns(rows, j)[0]
-    stride, pairs = transpose_lanes(components_i * components_j, components_j, WIDTH, same, PAIR, w, transposed), 0
+    stride, pairs = transpose_lanes(components_i * components_j, components_j, WIDTH, 0, pair, transposed), 0
     for p in range(terms_i):
         for q in range(p if same else 0, terms_j):
             for l in range(LANES):
@@ -325,14 +325,14 @@ def add_dots(rows, groups, target, segments, count, i, e, a, j, f, begin, w, beg
 
 
 @inlined
-def sum_singles(rows, groups, target, segments, count, i, j, begin, w, s, t, blocks):
+def sum_singles(rows, groups, target, segments, count, i, j, begin, w, s, t, pair, blocks):
     """Add K_ij of single columns to the blocks: of those of j with all of i, then of those of i with the terms of j."""
     width_i, width_j = rows.observation_width[i], rows.observation_width[j]
     terms_i, terms_j = rows.observation_terms[i], rows.observation_terms[j]
     singles_i, singles_j = s + BASIS + 2 * terms_i * LANES, t + BASIS + 2 * terms_j * LANES
     tile = rows, groups, target, segments, count
     for f in range(rows.observation_shared[j]):
-        times_direction(width_i, width_j, i == j, w, singles_j + f * WIDTH)
+        times_direction(width_i, width_j, w, singles_j + f * WIDTH, pair)
         for a in range(pose_components(width_i) if terms_i > 0 else 0):
             for p in range(terms_i):
                 register, value = COLUMN + a * LANES, s + BASIS + p * LANES
@@ -341,7 +341,7 @@ def sum_singles(rows, groups, target, segments, count, i, j, begin, w, s, t, blo
             direction = singles_i + e * WIDTH
             add_dots(*tile, i, terms_i + e, 0, j, terms_j + f, begin, w, COLUMN, direction, width_i, blocks)
     for e in range(rows.observation_shared[i] if i != j and terms_j > 0 else 0):
-        direction_times(width_i, width_j, w, singles_i + e * WIDTH)
+        direction_times(width_i, width_j, w, singles_i + e * WIDTH, pair)
         for b in range(pose_components(width_j)):
             for q in range(terms_j):
                 register, value = COLUMN + b * LANES, t + BASIS + q * LANES
@@ -353,7 +353,7 @@ def sum_right(rows, groups, target, segments, count, i, begin, w, s, buffers, gr
     """Add an observation's RIGHT to the gradient."""
     transposed, _, sums = buffers
     components, width, terms = observation_columns(rows, i)[0], rows.observation_width[i], rows.observation_terms[i]
-    stride = transpose_lanes(components, components, 0, False, s + RIGHT, w, transposed)
+    stride = transpose_lanes(components, components, 0, s + RIGHT, w, transposed)
     for k in range(count):
         first, last, pattern = segments[k, BEGIN], segments[k, END], segments[k, PATTERN]
         entry = rows.observation_entry[rows.pattern_observation[pattern] + i - begin]
@@ -373,9 +373,11 @@ def sum_right(rows, groups, target, segments, count, i, begin, w, s, buffers, gr
 
 
 @inlined
-def eliminate_tile(rows, groups, target, model, segments, count, with_matrix, w, depth, y, buffers, blocks, gradient):
+def eliminate_tile(
+    rows, groups, target, model, segments, count, with_matrix, w, depth, pair, buffers, blocks, gradient
+):
     """Add a tile's solved points to the gradient and, if `with_matrix`, to the blocks of pairs of variables."""
-    couple_all(rows, model, segments, w, depth, y)
+    couple_all(rows, model, segments, w, depth)
     begin, end = observations_of(rows, segments)
     fixed, tile = rows.pattern_fixed[segments[0, PATTERN]] > 0, (rows, groups, target, segments, count)
     for i in range(begin, end):
@@ -385,13 +387,13 @@ def eliminate_tile(rows, groups, target, model, segments, count, with_matrix, w,
         for j in range(i, end if with_matrix else i):
             if not paired(rows, fixed, i, j):
                 continue
-            t, widths = TILE + (j - begin) * depth, (rows.observation_width[i], rows.observation_width[j])
-            coupling_i, coupling_j = (i - begin) * COUPLED, (j - begin) * COUPLED
-            state_pair(row_count(rows.observation_kind[i]), *widths, i == j, w, s, y, coupling_i, coupling_j)
+            t, own = TILE + (j - begin) * depth, 1.0 if i == j else 0.0
+            counts = row_count(rows.observation_kind[i]), row_count(rows.observation_kind[j])
+            state_pair(*counts, rows.observation_width[i], rows.observation_width[j], own, w, s, t, pair)
             if rows.observation_terms[i] * rows.observation_terms[j] > 0:
-                sum_terms(*tile, i, j, begin, w, s, t, buffers, blocks)
+                sum_terms(*tile, i, j, begin, w, s, t, pair, buffers, blocks)
             if rows.observation_shared[i] + rows.observation_shared[j] > 0:
-                sum_singles(*tile, i, j, begin, w, s, t, blocks)
+                sum_singles(*tile, i, j, begin, w, s, t, pair, blocks)
 
 
 

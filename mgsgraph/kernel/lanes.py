@@ -52,10 +52,10 @@ def _view(kind: Registers) -> Any:
     return intrinsic(made)
 
 
-_APART = ("tile", "blocks", "transposed", "coupling")
-registers, blocks_of, transposed_of, coupling_of = (_view(Registers(name)) for name in _APART)
+_APART = ("tile", "blocks", "transposed", "pair")
+registers, blocks_of, transposed_of, pair_of = (_view(Registers(name)) for name in _APART)
 """Registers in a contiguous array of float64, which the caller keeps alive; the blocks of the normal matrix; numbers
-lane by lane; the observations' coupling to their points.
+lane by lane; what is between two observations' states.
 """
 
 
@@ -196,7 +196,9 @@ def multiply_add(typing: Any, factor: Any, value: Any, total: Any) -> Any:
 
 
 def _accumulating(fours: int, weights: int) -> Any:
-    """Sums of so many fours with so many weights at once: as many additions wait for one another."""
+    """Sums of so many fours with so many weights at once: enough for additions not to wait for one another, and few
+    enough to stay in a processor's sixteen registers.
+    """
 
     def accumulate(
         typing: Any, array: Any, weight: Any, first: Any, last: Any, values: Any, at: Any, step: Any, sums: Any, to: Any
@@ -238,14 +240,14 @@ def _accumulating(fours: int, weights: int) -> Any:
 MOST_SUMS = 36
 """Numbers of a pair of poses, in fours."""
 accumulate_nine, accumulate_two, accumulate_one = (_accumulating(fours, 1) for fours in (9, 2, 1))
-accumulate_nine_twice, accumulate_two_twice, accumulate_one_twice = (_accumulating(fours, 2) for fours in (9, 2, 1))
+accumulate_two_twice, accumulate_one_twice = (_accumulating(fours, 2) for fours in (2, 1))
 """Of nine, two or one four(s) of each lane in `transposed`, `step` apart from `at` on: their sums over lanes first ..
 last, times a register, or, twice, times it and the next one; to `sums` from `to` on, and from MOST_SUMS beyond.
 """
 
 _config: Any = config
 if _config.DISABLE_JIT:  # plain Python, to look at or to count: arrays are what they are
-    registers = blocks_of = transposed_of = coupling_of = lambda array: array.reshape(-1)
+    registers = blocks_of = transposed_of = pair_of = lambda array: array.reshape(-1)
     four = lambda array, index: array[index : index + FOUR].copy()  # noqa: E731
     multiply_add = lambda factor, value, total: factor * value + total  # noqa: E731
 
@@ -266,7 +268,7 @@ if _config.DISABLE_JIT:  # plain Python, to look at or to count: arrays are what
         return accumulate
 
     accumulate_nine, accumulate_two, accumulate_one = (_plainly(fours, 1) for fours in (9, 2, 1))
-    accumulate_nine_twice, accumulate_two_twice, accumulate_one_twice = (_plainly(fours, 2) for fours in (9, 2, 1))
+    accumulate_two_twice, accumulate_one_twice = (_plainly(fours, 2) for fours in (2, 1))
 
     def transpose_four(array: Any, a: int, b: int, c: int, d: int, sink: Any, index: int, step: int) -> None:
         """Four numbers from a, b, c and d on, put side by side."""
@@ -301,21 +303,19 @@ COST = 21 * LANES
 STEP_SQUARED = 22 * LANES  # squared length of the last step, in sigmas
 STATUS = 23 * LANES  # of the point's inner solve: GOOD, BEHIND or WEAK
 ACTIVE = 24 * LANES  # 1 where the point takes part, else 0
-PAIR = 25 * LANES  # 81: normal matrix, or covariance, between two observations' states
-COLUMN = 106 * LANES  # 9: PAIR times a direction
-PRODUCT = 115 * LANES  # product of two basis values
-MIDDLE = 116 * LANES  # 6: upper triangle of 1 + sum_ij Y_i' S_ij Y_j
-COVARIED_PAIR = 122 * LANES  # 27: PAIR times Y_j
-J_U = 149 * LANES  # 9: J U of an observation's rows
-B_L = 158 * LANES  # 9: B L^-T of an observation's rows
-ERROR = 167 * LANES  # 9: M P' - (J U)'
+COLUMN = 25 * LANES  # 9: K_ij times a direction
+PRODUCT = 34 * LANES  # product of two basis values
+MIDDLE = 35 * LANES  # 6: upper triangle of 1 + sum_ij P_i' J_i S_ij J_j' P_j
+BETWEEN = 41 * LANES  # 9: M or J_i S_ij J_j', between the rows of two observations
+MIXED = 50 * LANES  # 9: a row of M J_j, or of J_i S_ij; r - P L^-1 g
+ERROR = 59 * LANES  # 9: M P' - (J U)'
 
 # ---- registers of the measurement that is worked on: what the unknowns do to it, its constants, its rows
-DELTA = 176 * LANES  # 9: correction of the pose (m, rad), then of detector x, y and focal length, or of the range (m)
-RATE = 185 * LANES  # 6: its rate per line
-NEWTON_STEP = 191 * LANES  # lines from the pose's line to the predicted line
-ROWS_SQUARED = 192 * LANES  # squared norm of its rows; of a robust loss, then the root of its weight
-CONSTANTS = 193 * LANES
+DELTA = 68 * LANES  # 9: correction of the pose (m, rad), then of detector x, y and focal length, or of the range (m)
+RATE = 77 * LANES  # 6: its rate per line
+NEWTON_STEP = 83 * LANES  # lines from the pose's line to the predicted line
+ROWS_SQUARED = 84 * LANES  # squared norm of its rows; of a robust loss, then the root of its weight
+CONSTANTS = 85 * LANES
 ROWS = CONSTANTS + 32 * LANES
 
 # constants, from CONSTANTS or from an observation's own first register
@@ -347,13 +347,14 @@ OF_ROWS = (RESIDUAL, RESIDUAL + ROW, RESIDUAL + 2 * ROW, RESIDUAL + 3 * ROW)
 # ---- further registers of an observation
 RESULT = OF_ANY
 RIGHT = RESULT + OF_ROWS[3]  # 9: reduced gradient
-COVARIED = RIGHT + 9 * LANES  # (9, 3): U = sum_j S_ij Y_j
-SHARED_PART = COVARIED + 27 * LANES  # upper triangle (3, 3) of J S J'
-BASIS = SHARED_PART + 6 * LANES  # values of all terms, then their rates per line, then directions of single columns
+B_L = RIGHT + 9 * LANES  # (3, 3): P = B L^-T
+J_U = B_L + 9 * LANES  # (3, 3): J U = sum_j J_i S_ij J_j' P_j
+SHARED_PART = J_U + 9 * LANES  # (3, 3): J S J' of the observation with itself
+BASIS = SHARED_PART + 9 * LANES  # values of all terms, then their rates per line, then directions of single columns
 TILE = ROWS + OF_ROWS[3]
 """Registers before those of the first observation."""
 WIDTH = STATE_WIDTH * LANES
-"""From one row of PAIR, or one direction, to the next."""
+"""From one row between two states, or one direction, to the next."""
 
-# ---- registers of an observation in the array of its own that keeps coupling
-COUPLED = 27 * LANES  # Y (9, 3): state against point, times L^-T
+BETWEEN_STATES = STATE_WIDTH * WIDTH
+"""Registers of the array that keeps K_ij or S_ij (9, 9) between two observations' states."""

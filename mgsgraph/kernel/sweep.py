@@ -21,10 +21,10 @@ from mgsgraph.kernel.covariance import NUMBERS, covariance_tile, reliability_til
 from mgsgraph.kernel.elimination import eliminate_tile, move_basis, solve_tile
 from mgsgraph.kernel.lanes import (
     BASIS,
+    BETWEEN_STATES,
     BY_POINT,
     BY_STATE,
     COST,
-    COUPLED,
     FRONT,
     LANES,
     MOST_SUMS,
@@ -36,9 +36,9 @@ from mgsgraph.kernel.lanes import (
     TILE,
     WIDTH,
     blocks_of,
-    coupling_of,
     inlined,
     lane,
+    pair_of,
     registers,
     transposed_of,
 )
@@ -160,16 +160,16 @@ class Scratch(NamedTuple):
     """Products of two observations' basis values."""
     sums: Array
     """Of a segment's lanes, for each product."""
-    coupling: Array
-    """Of the observations to their points."""
+    pair: Array
+    """What is between two observations' states."""
 
 
 def scratch_for(rows: Rows) -> Scratch:
     """Room for a thread."""
-    (size, depth), most = workspace(rows), int(np.diff(rows.pattern_observation).max(initial=0))
+    size, depth = workspace(rows)
     pairs = max(2, int(rows.observation_terms.max(initial=0)) ** 2)
     sums = np.zeros(LANES * MOST_SUMS), np.zeros(pairs * LANES), np.zeros((pairs + 1) * MOST_SUMS)
-    return Scratch(np.zeros(size), depth, np.zeros((LANES, 5), dtype=np.int64), *sums, np.zeros(most * COUPLED))
+    return Scratch(np.zeros(size), depth, np.zeros((LANES, 5), dtype=np.int64), *sums, np.zeros(BETWEEN_STATES))
 
 
 @partial(cached_kernel, fastmath={"contract", "nsz"}, _nrt=False)
@@ -198,7 +198,7 @@ def sweep(
     COVARIANCES and RELIABILITY take the covariance of the shared unknowns from `blocks`; `values` are (n, 3, 3)
     covariances, (t, 2, 1) residuals, (t, 3, 7) `reliability.NUMBERS` or (t, 3, c) rows as in `design`.
     """
-    w, flat, y = registers(scratch.work), blocks_of(blocks), coupling_of(scratch.coupling)
+    w, flat, pair = registers(scratch.work), blocks_of(blocks), pair_of(scratch.pair)
     buffers = transposed_of(scratch.transposed), transposed_of(scratch.weights), transposed_of(scratch.sums)
     segments, depth = scratch.segments, scratch.depth
     costs[first_piece:last_piece] = 0.0
@@ -212,13 +212,13 @@ def sweep(
             store_points(rows, segments, count, w, points, states, costs)
         if task == GRADIENT or task == SYSTEM:
             tile = rows, groups, target, model, segments, count
-            eliminate_tile(*tile, task == SYSTEM, w, depth, y, buffers, flat, gradient)
+            eliminate_tile(*tile, task == SYSTEM, w, depth, pair, buffers, flat, gradient)
         elif task == COVARIANCES:
-            covariance_tile(rows, groups, target, model, segments, count, blocks, w, depth, y, values)
+            covariance_tile(rows, groups, target, model, segments, count, blocks, w, depth, pair, values)
         elif task == RESIDUALS:
             store_residuals(rows, segments, count, w, depth, values[:, :, 0])
         elif task == RELIABILITY:
-            reliability_tile(rows, groups, target, model, segments, count, blocks, w, depth, y, values)
+            reliability_tile(rows, groups, target, model, segments, count, blocks, w, depth, pair, values)
         elif task == DESIGN:
             design_tile(rows, model, segments, count, w, depth, values)
 
