@@ -18,8 +18,10 @@ from numba.extending import intrinsic, lower_builtin, models, register_model
 
 from mgsgraph.compiled import options_of_parts
 
-LANES = 64
-"""Points per tile: a tile of two-ray points fits the second-level cache several times over."""
+LANES = 72
+"""Points per tile: one of two-ray points fits the second-level cache. Registers lie an odd number of cache lines apart,
+so that they do not share places of the first-level cache.
+"""
 
 
 class Registers(types.Type):
