@@ -64,6 +64,13 @@ def to_lines_and_samples(motion, slope):
 
 
 @equation
+def peer_pixels(slope):
+    """S of the peer's form: pixels of the detector's size along and across its line, whose slope is in m per sample."""
+    square = slope[0] * slope[0] + slope[1] * slope[1]
+    return (slope[1] / square, -slope[0] / square), (-slope[0] / square, -slope[1] / square)
+
+
+@equation
 def residual(scale, image, detector, beyond):
     """Residuals r = S e - (beyond, 0): lines, samples."""
     x, y = image[0] - detector[0], image[1] - detector[1]

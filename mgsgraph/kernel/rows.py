@@ -76,6 +76,9 @@ class Rows(NamedTuple):
     """(s,) first of its entries: terms, then single columns."""
     observation_focal: Array
     """(s,) m, nominal focal length."""
+    observation_slope: Array
+    """(s, 2) m per sample, slope of a detector line where the model takes it as it is (not as the scale of frozen
+    image motion); NaN where each ray stores its own."""
     observation_rate: Array
     """(s,) du/dline where the basis is a polynomial 1, u, u^2, .. of the line, of which u alone is stored; else 0."""
     observation_numbers: Index
@@ -147,18 +150,24 @@ class NormalBlocks(NamedTuple):
 
 
 def numbers_stored(
-    model: Model, kind: Index, width: Index, terms: Index, shared: Index, polynomial: NDArray[np.bool_]
+    model: Model, kind: Index, width: Index, terms: Index, shared: Index, polynomial: NDArray[np.bool_], slope: Array
 ) -> Index:
     """Numbers per point that observations (s,) store in `Rows.data`, in the order of `tile.load_observation`.
 
     The observation's constants, then the line u of a polynomial, or basis values and (where the pose is that of the
-    predicted line) rates, then directions.
+    predicted line) rates, then directions. `slope` is as of `Rows`.
     """
     predicted = model.line == PREDICTED
-    of_ray = 9 + (4 if model.angles == CAMERA else 3) + (5 if predicted else 0)
-    constants = np.array([of_ray, 3 + 3 + 1, 3 + 6, 0, 3 + 3 + 1])
+    of_ray = 3 + (4 if model.angles == CAMERA else 3) + 2 + (7 if predicted else 0 if model.angles == OPK_PEER else 4)
+    constants = np.array([of_ray, 3 + 3 + 1, 3 + 6, 0, 3 + 3 + 1])[kind]
+    constants += np.where((kind == IMAGE) & takes_slope(model) & np.isnan(slope[:, 0]), 2, 0)
     of_basis = terms * np.where((kind == IMAGE) & predicted, 2, 1)
-    return np.asarray(constants[kind] + np.where(polynomial, np.minimum(terms, 1), of_basis) + width * shared)
+    return np.asarray(constants + np.where(polynomial, np.minimum(terms, 1), of_basis) + width * shared)
+
+
+def takes_slope(model: Model) -> bool:
+    """Whether rows take the slope of the detector line: about the predicted line, and as the peer's pixels."""
+    return model.line == PREDICTED or model.angles == OPK_PEER
 
 
 def of_points(rows: Rows, piece: int, inside: Index) -> Rows:

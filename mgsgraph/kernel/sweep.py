@@ -232,7 +232,8 @@ def compile_sweep() -> None:
     """Compile the sweep, or load it: for arguments of the types that it always has."""
     from numba import typeof
 
-    kinds, tables = {Small: np.int8, Index: np.int64, Array: np.float64}, ("start", "weight", "piece", "terrain")
+    kinds = {Small: np.int8, Index: np.int64, Array: np.float64}
+    tables = "start", "weight", "piece", "observation_slope", "terrain"
 
     def none_of(fields: Any) -> Any:
         shapes = {name: (0, 0) if name in tables else (0,) for name in fields._fields}

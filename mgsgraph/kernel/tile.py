@@ -6,6 +6,7 @@ single columns; which unknowns these are may differ from *segment* to segment of
 
 import numpy as np
 
+from mgsgraph.factors.collinearity import peer_pixels
 from mgsgraph.kernel.lanes import (
     ACTIVE,
     ANGULAR_RATE,
@@ -38,7 +39,7 @@ from mgsgraph.kernel.lanes import (
     put_four,
     registers,
 )
-from mgsgraph.kernel.rows import CAMERA, GOOD, GROUND, IMAGE, OUT, PREDICTED, RANGE, STEREO, SURFACE, Rows
+from mgsgraph.kernel.rows import CAMERA, GOOD, GROUND, IMAGE, OPK_PEER, OUT, PREDICTED, RANGE, STEREO, SURFACE, Rows
 
 PIECE_OF, FIRST, BEGIN, END, PATTERN = 0, 1, 2, 3, 4
 """Columns of the table of segments: piece, first point counted in it, lanes from BEGIN up to END, pattern."""
@@ -137,6 +138,27 @@ def powers(rows, segments, count, observation, terms, w, basis, rates):
 
 
 @inlined
+def slopes(rows, segments, count, i, begin, at, w, s):
+    """Slopes of the detector line: the observation's, or each ray's own; which component comes next."""
+    if np.isnan(rows.observation_slope[i, 0]):
+        return copied(rows, segments, count, at, w, s + SLOPE, 2)
+    for k in range(count):
+        slope = rows.observation_slope[rows.pattern_observation[segments[k, PATTERN]] + i - begin]
+        for l in range(segments[k, BEGIN], segments[k, END]):
+            w[s + SLOPE + l], w[s + SLOPE + LANES + l] = slope[0], slope[1]
+    return at
+
+
+@lane
+def peer_scales(w, s):
+    """SCALE from SLOPE."""
+    for l in range(LANES):
+        lines, samples = peer_pixels((w[s + SLOPE + l], w[s + SLOPE + LANES + l]))
+        w[s + SCALE + l], w[s + SCALE + LANES + l] = lines
+        w[s + SCALE + 2 * LANES + l], w[s + SCALE + 3 * LANES + l] = samples
+
+
+@inlined
 def load_observation(rows, model, segments, count, begin, i, at, w, s):
     """Constants of observation i in the order of `Rows.data`: those of its kind, then basis values, then directions."""
     kind, rates = rows.observation_kind[i], False
@@ -149,9 +171,12 @@ def load_observation(rows, model, segments, count, begin, i, at, w, s):
         if rates:
             at = copied(rows, segments, count, at, w, s + VELOCITY, 3)
             at = copied(rows, segments, count, at, w, s + ANGULAR_RATE, 3)
-            at = copied(rows, segments, count, at, w, s + SLOPE, 2)
             at = copied(rows, segments, count, at, w, s + REFERENCE_OFFSET, 1)
-        else:
+        if rates or model.angles == OPK_PEER:
+            at = slopes(rows, segments, count, i, begin, at, w, s)
+        if not rates and model.angles == OPK_PEER:
+            peer_scales(w, s)
+        elif not rates:
             at = copied(rows, segments, count, at, w, s + SCALE, 4)
     elif kind == GROUND:
         at = copied(rows, segments, count, at, w, s + ROOT, 6)

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from mgsgraph.geometry.body import east_north
+from mgsgraph.geometry.camera import NoDistortion
 from mgsgraph.geometry.intersection import image_steps
 from mgsgraph.geometry.orientation import Angles, polynomial
 from mgsgraph.geometry.records import Array, Index
@@ -106,10 +107,6 @@ class SharedEffects:
         """Whether shared unknowns act on an image's rays."""
         return bool(self.acting["rays"][image])
 
-    def bends(self, image: int) -> bool:
-        """Whether shared unknowns change the slope of an image's detector line."""
-        return any(bends(self._network, k, image) for k in self.acting["rays"][image])
-
     def slopes(self, image: int, samples: Array, values: Sequence[Array]) -> Array:
         """(n, 2) m per sample, of an image's detector line where all variables have `values`, in the axes of its
         pass.
@@ -172,6 +169,18 @@ def common_lifts(network: Network, places: Array) -> list[tuple[Index, Array]]:
         up = places[members] / np.maximum(np.linalg.norm(places[members], axis=1), 1.0)[:, None]
         lifts.append((members, surface.sigmas[members][:, None, None] * loads[:, :, None] * up[:, None]))
     return lifts
+
+
+def common_slopes(network: Network) -> Array:
+    """(images, 2) slope of each image's detector line in the focal plane of its pass, m per sample; NaN where pixels
+    have slopes of their own: distorted, mounted against the axes of the pass, or bent by shared unknowns.
+    """
+    slopes = np.full((len(network.images), 2), np.nan)
+    for j, (image, acting) in enumerate(zip(network.images, acting_on(network, "rays"), strict=True)):
+        bent = network.axes_of(j) is not None or any(bends(network, k, j) for k in acting)
+        if not bent and isinstance(image.interior.distortion, NoDistortion):
+            slopes[j] = image.interior.focal_plane(np.zeros(1))[1][0]
+    return slopes
 
 
 def bends(network: Network, shared: int, image: int) -> bool:

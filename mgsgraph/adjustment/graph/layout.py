@@ -244,8 +244,9 @@ def lay_out(network: Network, settings: SolverSettings, places: Array | None = N
     given = None if model.line == MEASURED else places
     bending = np.zeros(variables.sigmas.size)
     storage = Storage.within(settings.memory_gb)
-    measured = np.array(network.rays.places[:, 0])
-    return _lay_out(network, model, variables, given, measured, None, stereo, bending, storage)
+    lines = network.rays.places[:, 0]
+    lines = lines if model.line == MEASURED else lines.copy()
+    return _lay_out(network, model, variables, given, lines, None, stereo, bending, storage)
 
 
 def _lay_out(

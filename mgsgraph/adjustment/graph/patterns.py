@@ -18,6 +18,7 @@ from mgsgraph.geometry.orientation import SUPPORT, Moments
 from mgsgraph.geometry.records import Array, Index, Mask, read_only
 from mgsgraph.kernel.rows import GROUND, IMAGE, PIECE, RANGE, STEREO, SURFACE, Groups, NormalBlocks, shapes
 from mgsgraph.network import Network
+from mgsgraph.network.effects import common_slopes
 
 _Rows = tuple[Index, NDArray[np.int32], NDArray[np.int32]]
 """Rows of each point, as `by_point` gives them."""
@@ -274,7 +275,8 @@ def sort_points(
     member, group_first, group_member, group = _groups(of_example.pattern_of_entry, of_example.variable, example.size)
     fixed = network.points.kinds[example] == PointKind.FIXED
     polynomial = (of_example.image >= 0) & (of_example.node < 0)
-    properties = of_example.kind, of_example.width, of_example.terms, of_example.shared, polynomial.astype(np.int64)
+    own_slope = np.append(np.isnan(common_slopes(network)[:, 0]), False)[of_example.image]
+    properties = of_example.kind, of_example.width, of_example.terms, of_example.shared, polynomial, own_slope
     shape = shapes(of_example.first, fixed.astype(np.int64), *properties)
     order = np.lexsort([np.arange(example.size), group, shape])
     rank = np.empty_like(order)

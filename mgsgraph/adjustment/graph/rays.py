@@ -22,9 +22,9 @@ from mgsgraph.geometry.camera import Detector
 from mgsgraph.geometry.compiled_pose import set_vector, vector
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.trajectory import Pose
-from mgsgraph.kernel.rows import CAMERA, IMAGE, OPK_PAPER, OPK_PEER, PREDICTED, Model, neighboring_pieces
+from mgsgraph.kernel.rows import CAMERA, IMAGE, OPK_PAPER, PREDICTED, Model, neighboring_pieces, takes_slope
 from mgsgraph.network import Network
-from mgsgraph.network.effects import SharedEffects, common_looks
+from mgsgraph.network.effects import SharedEffects, common_looks, common_slopes
 
 _SHARE = 1 << 16
 """Rays that a thread takes at a time."""
@@ -65,6 +65,7 @@ class RayConstants:
         piece: Index, before: Index,
     ) -> None:  # fmt: skip
         self._network, self._model, self._patterns, self._variables = network, model, patterns, variables
+        self._slopes = common_slopes(network)
         self.effects, looks = SharedEffects(network, angles_of(model)), common_looks(network)
         self._looks = [np.empty((1, 2, 0)), *(look for _, look in looks)]
         self._of_look = np.zeros((2, network.rays.point.size if looks else 0), dtype=np.int64)
@@ -171,17 +172,18 @@ class RayConstants:
         lines, predicted, pixels = terms.lines[k], self._model.line == PREDICTED, self._pixels(j, k)
         moments = image.moments(lines)
         pose = image.trajectory.pose(moments.times).scaled(moments.periods).in_axes(self._axes[j])
-        slope = self.effects.slopes(j, rays.places[k, 1], values) if self.effects.bends(j) else pixels.slope
+        form = [pose.position, attitudes(pose, angles), pixels.place]
         if predicted:
             rates = pose.angular_rate if angles == CAMERA else angle_rates(pose, angles)
             rates = rates + self.effects.turning(j, moments.u, values)
-            form = [pose.velocity, rates, slope, (lines - rays.places[k, 0])[:, None]]
-        else:
-            form = [peer_scale(slope) if angles == OPK_PEER else np.zeros((k.size, 4))]  # `fill_scales` fills these
+            form += [pose.velocity, rates, (lines - rays.places[k, 0])[:, None]]
+        if not takes_slope(self._model):
+            form.append(np.zeros((k.size, 4)))  # `fill_scales` fills these
+        elif np.isnan(self._slopes[j, 0]):
+            form.append(self.effects.slopes(j, rays.places[k, 1], values))
         basis = terms.basis(j, moments, terms.of_rays[k], predicted)
         effects = self.effects.of_rays(j, moments.u, rays.places[k, 1], common).reshape(k.size, -1)
-        constants = [pose.position, attitudes(pose, angles), pixels.place, *form, *basis, effects]
-        store(k, self._table, 0, np.concatenate([part.T for part in constants]), data)
+        store(k, self._table, 0, np.concatenate([part.T for part in (*form, *basis, effects)]), data)
 
 
 def attitudes(pose: Pose, angles: int) -> Array:
@@ -195,12 +197,6 @@ def angle_rates(pose: Pose, angles: int) -> Array:
     """(k, 3) rates of these angles, per line."""
     chain = rotation.angle_axes(attitudes(pose, angles), camera_to_body=angles == OPK_PAPER)
     return np.asarray(np.linalg.solve(chain, pose.angular_rate[:, :, None])[:, :, 0])
-
-
-def peer_scale(slope: Array) -> Array:
-    """(k, 4) focal-plane m to residuals as opk-peer has them: pixels of the detector's size along and across it."""
-    square = slope[:, 0] ** 2 + slope[:, 1] ** 2
-    return np.stack([slope[:, 1], -slope[:, 0], -slope[:, 0], -slope[:, 1]], axis=1) / square[:, None]
 
 
 def frozen_scale(pose: Pose, focal_length: float, points: Array, slope: Array) -> Array:

@@ -37,7 +37,7 @@ from mgsgraph.kernel.rows import (
     numbers_stored,
 )
 from mgsgraph.network import Network
-from mgsgraph.network.effects import SharedEffects, common_lifts, known_motions
+from mgsgraph.network.effects import SharedEffects, common_lifts, common_slopes, known_motions
 from mgsgraph.network.parallel import parallel
 
 _SHARE = 0.25
@@ -236,6 +236,7 @@ def _observation_tables(network: Network, model: Model, variables: Variables, pa
     """Kinds of the patterns' observations, and how the unknowns act on them."""
     focal = np.array([image.interior.focal_length for image in network.images] + [0.0])
     rate = np.array([image.normalised_rate for image in network.images] + [0.0])
+    slope = np.vstack([common_slopes(network), np.zeros(2)])[patterns.image]
     rays, polynomial = patterns.kind == IMAGE, (patterns.image >= 0) & (patterns.node < 0)
     return {
         "pattern_observation": patterns.first,
@@ -248,9 +249,10 @@ def _observation_tables(network: Network, model: Model, variables: Variables, pa
         "observation_shared": patterns.shared,
         "observation_entry": patterns.entry[:-1].copy(),
         "observation_focal": np.where(rays, focal[patterns.image], 0.0),
+        "observation_slope": slope,
         "observation_rate": np.where(polynomial, rate[patterns.image], 0.0),
         "observation_numbers": numbers_stored(
-            model, patterns.kind, patterns.width, patterns.terms, patterns.shared, polynomial
+            model, patterns.kind, patterns.width, patterns.terms, patterns.shared, polynomial, slope
         ),
         "entry_column": variables.first[patterns.entry_variable] + patterns.entry_inside,
         "entry_member": patterns.entry_member,

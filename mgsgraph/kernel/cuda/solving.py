@@ -18,6 +18,7 @@ from mgsgraph.factors.collinearity import (
     by_rotation,
     focal_plane,
     image_motion,
+    peer_pixels,
     ray_motion,
     residual,
     to_lines_and_samples,
@@ -54,6 +55,7 @@ from mgsgraph.kernel.rows import (
     IMAGE,
     NO_LOSS,
     OPK_PAPER,
+    OPK_PEER,
     OUT,
     PREDICTED,
     RANGE,
@@ -111,8 +113,12 @@ def image_rows(tables, model, data, i, at, stride, state, rate, point, weights):
     velocity, turning, slope, to_reference = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0), 0.0
     frozen = (0.0, 0.0), (0.0, 0.0)
     if predicted:
-        velocity, turning = vector(data, k, stride, 2), vector(data, k, stride, 5)
-        slope, to_reference = (data[k + 8 * stride], data[k + 9 * stride]), data[k + 10 * stride]
+        velocity, turning, to_reference = vector(data, k, stride, 2), vector(data, k, stride, 5), data[k + 8 * stride]
+    if predicted or model.angles == OPK_PEER:
+        own = k + (9 if predicted else 2) * stride
+        slope = tables.optics[i, 2], tables.optics[i, 3]
+        slope = slope if slope[0] == slope[0] else (data[own], data[own + stride])
+        frozen = peer_pixels(slope)
     else:
         frozen = (data[k + 2 * stride], data[k + 3 * stride]), (data[k + 4 * stride], data[k + 5 * stride])
     of_theta, speed = (rate[3], rate[4], rate[5]), add(velocity, (rate[0], rate[1], rate[2]))

@@ -53,7 +53,7 @@ class Tables(NamedTuple):
     observation: Short
     """(s, 11)"""
     optics: Array
-    """(s, 2) focal length (m), and du/dline."""
+    """(s, 4) focal length (m), du/dline, and the slope of the detector line (m per sample) as in `Rows`."""
     entry: Short
     """(e, 5)"""
     pair: Index
@@ -105,7 +105,7 @@ def make_tables(rows: Rows, groups: Groups, target: NormalBlocks, model: Model) 
         piece=np.column_stack([rows.piece, np.cumsum(scratch) - scratch]),
         pattern=_patterns(rows, groups, owner),
         observation=_observations(rows, model, left),
-        optics=np.stack([rows.observation_focal, rows.observation_rate], axis=1),
+        optics=np.column_stack([rows.observation_focal, rows.observation_rate, rows.observation_slope]),
         entry=_entries(rows, groups, target, owner),
         pair=target.pair,
         piece_of_point=np.repeat(numbers, sizes),
