@@ -274,7 +274,7 @@ def _required_kernels(entry: ImageInput, spice: SpiceInput | None, folder: Path,
 def read_image(entry: ImageInput, spice: SpiceInput | None, folder: Path, where: str) -> PushbroomImage:
     """By an image's plain entry (`case_file.plain_image`), if it can be; `where` names the table in errors."""
     if entry.resection is not None:
-        raise InputError(where, "a resection", "an image of a case with others, whose ties it shares", "name its kernels")
+        raise InputError(where, "a resection", "an image of a case, whose ties others share", "name its kernels")
     return _plausible(_read(entry, spice, folder, where), entry, folder)
 
 

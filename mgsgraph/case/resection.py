@@ -112,7 +112,8 @@ def _resected(
         raise InputError(where, "one of longitude_deg and latitude_deg", "both, or neither: by tie points")
     label = read_line_scan_label(folder / file)
     if stated.longitude_deg is None or stated.latitude_deg is None:
-        ground, source = middle_by_ties(entry.name, label, ties, images, where)
+        measures, met = _ties_on_ellipsoid(entry.name, ties, images, where)
+        ground, source = ground_in_middle(label, measures, met), f"by {len(met)} tie points"
     else:
         direction = from_planetocentric(np.array([stated.longitude_deg * DEG, stated.latitude_deg * DEG, 1.0]))
         ground, source = direction * surface_radii(direction[None], like.body), "as stated"
@@ -184,30 +185,31 @@ def _camera_place(ground: Array, altitude: float, emission: float, flight: _Flig
     return rotation.exponential((aside - emission) * along) @ ground * (distance / radius), aside
 
 
-def middle_by_ties(
-    name: str, label: LineScanLabel, ties: Sequence[TiePoints], images: Mapping[str, PushbroomImage], where: str
-) -> tuple[Array, str]:
-    """Ground (3,) in m, body-fixed, in the middle of an image, and what it rests on.
-
-    By an affine map from the image's measures of tie points to where other images see these on the ellipsoid.
+def ground_in_middle(label: LineScanLabel, measures: Array, ground: Array) -> Array:
+    """Ground (3,) in m, body-fixed, in the middle of an image by an affine map from line and sample (n, 2), the first
+    pixel's centre at (0.5, 0.5), to ground (n, 3); n may be 1, and the image's scale is then left out.
     """
-    places, ground = list[Array](), list[Array]()
+    centre, middle = measures.mean(axis=0), np.array([0.5 * label.lines, 0.5 * label.samples])
+    slopes = np.linalg.lstsq(measures - centre, ground - ground.mean(axis=0), rcond=None)[0]
+    return np.asarray(ground.mean(axis=0) + (middle - centre) @ slopes)
+
+
+def _ties_on_ellipsoid(
+    name: str, ties: Sequence[TiePoints], images: Mapping[str, PushbroomImage], where: str
+) -> tuple[Array, Array]:
+    """Measures (n, 2) of tie points in an image, and where other images see these on the ellipsoid (n, 3) in m."""
+    measures, ground = [np.zeros((0, 2))], [np.zeros((0, 3))]
     for points in ties:
-        names, point = points.measure_image, points.measure_point
-        own = np.flatnonzero(names.over([name]) == 0)
-        for other, image in images.items():
-            common, first, second = np.intersect1d(
-                point[own], point[theirs := np.flatnonzero(names.over([other]) == 0)], return_indices=True
-            )
-            places.append(points.measures[own[first]])
-            ground.append(image.image_to_ground(*points.measures[theirs[second]].T)[0].reshape(common.size, 3))
-    measured, met = np.concatenate([np.zeros((0, 2)), *places]), np.concatenate([np.zeros((0, 3)), *ground])
+        names = points.measure_image.over([name, *images])
+        own = np.flatnonzero(names == 0)
+        for j, image in enumerate(images.values(), start=1):
+            other = np.flatnonzero(names == j)
+            _, first, second = np.intersect1d(points.measure_point[own], points.measure_point[other], True, True)
+            measures.append(points.measures[own[first]])
+            ground.append(image.image_to_ground(*points.measures[other[second]].T)[0])
+    places, met = np.concatenate(measures), np.concatenate(ground)
     sound = np.all(np.isfinite(met), axis=1)
     if not sound.any():
         found = f"no tie point that {name} and an image with an orbit measure, and no place"
         raise InputError(where, found, "tie points in [ties], or longitude_deg and latitude_deg of its middle")
-    measured, met = measured[sound], met[sound]
-    centre = measured.mean(axis=0)
-    slopes = np.linalg.lstsq(measured - centre, met - met.mean(axis=0), rcond=None)[0]
-    middle = met.mean(axis=0) + (np.array([0.5 * label.lines, 0.5 * label.samples]) - centre) @ slopes
-    return middle, f"by {len(met)} tie points"
+    return places[sound], met[sound]
