@@ -17,8 +17,10 @@ from mgsgraph.case.schema import RESECTED, CaseInput, ImageInput, ResectionInput
 from mgsgraph.errors import InputError
 from mgsgraph.files.cameras.camera import LineScanLabel, NaifKeywords, times_of_label
 from mgsgraph.files.cameras.label import read_line_scan_label
+from mgsgraph.files.labels.label_statements import require_usual_label
 from mgsgraph.files.networks.table import read_tie_points
 from mgsgraph.files.networks.tie_points import TiePoints
+from mgsgraph.files.pvl import read_label
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import east_north, from_planetocentric, is_another, surface_radii, target_name
 from mgsgraph.geometry.image import PushbroomImage
@@ -29,6 +31,8 @@ from mgsgraph.units import DEG, KM
 
 _BEYOND = 0.5
 """s, of the orbit before the first line and after the last one."""
+_STOP_SLACK = 0.1
+"""s by which the last line may end after the label's STOP_TIME, which is rounded."""
 _REMEDY = "name its kernels, or give its support data"
 
 
@@ -111,6 +115,8 @@ def _resected(
     if (stated.longitude_deg is None) != (stated.latitude_deg is None):
         raise InputError(where, "one of longitude_deg and latitude_deg", "both, or neither: by tie points")
     label = read_line_scan_label(folder / file)
+    if "PDS_VERSION_ID" in (root := read_label(label.path)):
+        require_usual_label(root, str(label.path))
     if stated.longitude_deg is None or stated.latitude_deg is None:
         measures, met = _ties_on_ellipsoid(entry.name, ties, images, where)
         ground, source = ground_in_middle(label, measures, met), f"by {len(met)} tie points"
@@ -156,6 +162,10 @@ def nominal_image(
     interior = camera.interior(NaifKeywords(file, camera.constants), label)
     start = float(tdb_of_utc([label.utc], f"{file}, start time")[0])
     times = times_of_label(NaifKeywords(file, camera.constants), label, start, np.nan)
+    stop = float(tdb_of_utc([label.stop], f"{file}, stop time")[0]) if label.stop else np.inf
+    if times.stop > stop + _STOP_SLACK:
+        found = f"{label.lines} lines of {label.period:.6g} s, {times.stop - stop:.3f} s past the stop time"
+        raise InputError(file, found, f"an end by {label.stop}", "check lines, line period and summing")
     epoch = 0.5 * (times.start + times.stop)
     usual = float(np.linalg.norm(flight.place) - surface_radii(flight.place[None], body)[0])
     altitude = usual if stated.altitude_km is None else stated.altitude_km * KM

@@ -152,8 +152,8 @@ class OrientationInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 RESECTED = {"position_sigma_m": 5000.0, "angle_sigma_mrad": 5.0}
-"""Of a resected start: an angle of 20 mrad (1.1 degrees) off the nadir displaces a camera 400 km up by 8 km over the
-same ground, and neighboring orbits of one mission differ by some kilometers in altitude."""
+"""Of a resected start. MGS kept its attitude within 10 mrad, 3 sigmas; 5 mrad off the nadir displace a camera 400 km up
+by 2 km over the same ground, which the sigma of the position has to leave room for, as for the orbit's altitude."""
 
 
 def _resected(orientation: OrientationInput) -> OrientationInput:
@@ -216,7 +216,7 @@ class ImageInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     line_times: Annotated[str, msgspec.Meta(min_length=1)] | None = None
     """HRSC without its line prefixes: a text file with the times of its lines, or "mean" (files.cameras.label)."""
     resection: ResectionInput | None = None
-    """Start where no kernels are at hand, with wide a-priori sigmas (docs/case_file.md)."""
+    """Start of an image of which no kernels are at hand, with wide a-priori sigmas (docs/own_files.md)."""
     held: bool = False
     """Keep its orientation as it is."""
     aberration: Literal["NONE", "LT+S"] | None = None
