@@ -216,8 +216,9 @@ def _require_of_pass(
         entry = tables.images[j]
         if entry.held:
             raise InputError(where, f"image {entry.name}, which is held", "adjusted images", "take one of the two out")
-        if entry.orientation is not None:
-            found = f"image {entry.name}, which has an orientation table of its own"
+        if entry.orientation is not None or entry.resection is not None:
+            table = "a resection" if entry.resection else "an orientation table"
+            found = f"image {entry.name}, which has {table} of its own"
             raise InputError(where, found, "images that their pass says it for", "take one of the two out")
         if (nominal := orientations[j].nominal) != "trajectory":
             found = f"image {entry.name} with nominal = {nominal!r}"

@@ -3,7 +3,8 @@
 The orbit is a circle. Its plane is that of another image's orbit turned about the pole until it passes over the middle
 of the image, ascending or descending as that one; inertial speeds are as 1 / sqrt(distance from the body's centre). The
 camera is turned about its optical axis as that of the other image and looks at the body's centre, or aside by the
-emission angle. All else is the adjustment's: the start is one of the orientation corrections' priors.
+emission angle. All else is the adjustment's: the start is where the orientation corrections are zero, and their priors
+are wide.
 """
 
 from collections.abc import Mapping, Sequence
@@ -59,7 +60,7 @@ class _Flight(NamedTuple):
     def over(self, place: Array) -> Array:
         """(3,) m/s, velocity in inertial space of such an orbit at a place (3,) in m, horizontal.
 
-        cos(inclination) = cos(latitude) sin(azimuth), Vallado 2013, eq. 2-43 (of circular orbits).
+        cos(inclination) = cos(latitude) sin(azimuth) in the right-angled triangle of node, place and equator.
         """
         normal = rotation.unit_vectors(np.cross(self.place, self.velocity))
         up = rotation.unit_vectors(place)
@@ -69,9 +70,7 @@ class _Flight(NamedTuple):
         return np.asarray(speed * (np.array([sine, cosine]) @ east_north(place[None])[0]))
 
 
-def resected_images(
-    tables: CaseInput, known: Mapping[int, PushbroomImage], path: Path
-) -> dict[int, PushbroomImage]:
+def resected_images(tables: CaseInput, known: Mapping[int, PushbroomImage], path: Path) -> dict[int, PushbroomImage]:
     """Images of a case that have a table `resection`, by their numbers.
 
     Parameters
@@ -96,7 +95,8 @@ def resected_images(
     if not known:
         found, expected = "no image with an orbit in the case", "one whose orbit it resembles"
         raise InputError(next(iter(where.values())), found, expected, _REMEDY)
-    ties = [read_tie_points(path.parent / group.network) for group in tables.tie_groups]
+    body = next(iter(known.values())).body
+    ties = [read_tie_points(path.parent / group.network, body) for group in tables.tie_groups]
     return {j: _resected(entry, known, ties, path.parent, where[j]) for j, entry in entries.items()}
 
 
@@ -179,7 +179,13 @@ def nominal_image(
     half = 0.5 * (times.stop - times.start) + _BEYOND
     trajectory = circular_flight(epoch, half, place, velocity, flight.spin, attitude)
     return PushbroomImage(
-        name or label.product, label.lines, label.samples, interior, times.timing(epoch), trajectory, body,
+        name or label.product,
+        label.lines,
+        label.samples,
+        interior,
+        times.timing(epoch),
+        trajectory,
+        body,
         mission=camera.mission,
     )
 

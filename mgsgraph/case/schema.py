@@ -151,9 +151,12 @@ class OrientationInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
             return OrientationPrior(np.outer(factors[: self.degree + 1], np.concatenate([position, angle])))
 
 
-RESECTED = {"position_sigma_m": 5000.0, "angle_sigma_mrad": 5.0}
-"""Of a resected start. MGS kept its attitude within 10 mrad, 3 sigmas; 5 mrad off the nadir displace a camera 400 km up
-by 2 km over the same ground, which the sigma of the position has to leave room for, as for the orbit's altitude."""
+RESECTED = {"position_sigma_m": 5000.0, "angle_sigma_mrad": 10.0}
+"""Of a resected start, by convention. A camera 400 km up that looks 5 mrad (0.3 degrees) off the nadir is 2 km beside
+its start over the same ground. Attitude and position err together; as independent errors they need larger sigmas."""
+
+
+_Turn = Annotated[float, msgspec.Meta(ge=-360.0, le=360.0)]
 
 
 def _resected(orientation: OrientationInput) -> OrientationInput:
@@ -165,16 +168,16 @@ class ResectionInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     passes over its middle, in the plane of another image's orbit turned about the pole.
     """
 
-    longitude_deg: float | None = None
+    longitude_deg: _Turn | None = None
     """East longitude of the image's middle; when absent, by the tie points that it shares with other images."""
-    latitude_deg: Annotated[float, msgspec.Meta(ge=-90.0, le=90.0)] | None = None
+    latitude_deg: Annotated[float, msgspec.Meta(gt=-90.0, lt=90.0)] | None = None
     """Planetocentric latitude of it; together with the longitude."""
-    altitude_km: Positive | None = None
+    altitude_km: Annotated[float, msgspec.Meta(gt=0.0, le=1e6)] | None = None
     """Altitude above the ellipsoid; that of `like` when absent."""
     emission_deg: Annotated[float, msgspec.Meta(gt=-80.0, lt=80.0)] = 0.0
     """Emission angle at its middle: positive where the camera looks to the right of the flight, negative to the
     left."""
-    north_azimuth_deg: float | None = None
+    north_azimuth_deg: _Turn | None = None
     """Angle from the direction of increasing samples clockwise to north, as archives have it; when absent the camera
     is turned against the flight as that of `like`."""
     like: str = ""
