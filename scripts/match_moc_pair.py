@@ -2,7 +2,7 @@
 
 Of E02/01461 there is a map-projected crop, with the SPICE tables of the whole image: its pixels are brought back into
 the camera's geometry. Of M01/00115 there are all pixels but no SPICE: its orientation is resected from the given tie
-points outside the crop, from a circular orbit like that of E02/01461 that looks at the nadir. Tie points inside the
+points outside the crop, as `mgsgraph new` and `adjust` do it. Tie points inside the
 crop are for comparison alone.
 
     python scripts/match_moc_pair.py [--data FOLDER] [--step METRES] [--cells N] [--out FILE]
@@ -21,32 +21,34 @@ import numpy as np
 from scipy.ndimage import map_coordinates, spline_filter
 from study import DOCS, Blocks, at_least, command, positive, show, table, write_page
 
+from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.case.resection import ground_in_middle, nominal_image
+from mgsgraph.case.schema import RESECTED, OrientationInput
 from mgsgraph.errors import InputError
 from mgsgraph.files.cameras.camera import LineScanLabel
 from mgsgraph.files.cameras.label import read_line_scan_label
 from mgsgraph.files.labels.isis_cube import read_isis_cube
+from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.files.pvl import read_label
 from mgsgraph.files.rasters.megdr import read_megdr
 from mgsgraph.files.rasters.pictures import read_moc_pixels
-from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import from_planetocentric, geodetic, planetocentric
-from mgsgraph.geometry.camera import InteriorOrientation
-from mgsgraph.geometry.image import LineTiming, PushbroomImage
+from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior
 from mgsgraph.geometry.records import Array, Mask
-from mgsgraph.geometry.trajectory import AttitudeTable, PositionTable, Trajectory
 from mgsgraph.matching.match import Matches, match_scene
 from mgsgraph.matching.scene import Ground, GroundChart, Picture, Scene
 from mgsgraph.matching.settings import MatchSettings
+from mgsgraph.network.observations import build_network
+from mgsgraph.network.parts import KnownImage
+from mgsgraph.simulation.observations import free_points
 from mgsgraph.text import root_mean_square as rms
 from mgsgraph.units import DEG
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 E02, M01 = "E0201461", "M0100115"
-MIDDLE = np.array([141.5485, 34.2905]) * DEG
-"""rad, longitude and latitude of M01/00115's middle (footprint in NASA Ames StereoPipeline, TestPEDR)."""
-UNKNOWN = np.array([[500.0] * 3 + [0.02] * 3] * 3)
-"""m and rad, a-priori sigmas of the resected orientation."""
+UNKNOWN = OrientationInput(**RESECTED).prior("resection")
+"""A-priori sigmas of the resected orientation."""
 RESECTED = np.array([[1.0], [0.1], [0.01]]) * np.array([20.0] * 3 + [5e-5] * 3)
 """m and rad, sigmas of both orientations after it, for matching."""
 TIE_SIGMA, HEIGHT_SIGMA = 2.0, 100.0
@@ -115,47 +117,17 @@ def read_ties(path: Path) -> Ties:
 # --- M01/00115, of which nothing but the label is known
 
 
-def nominal_image(label: LineScanLabel, like: PushbroomImage) -> PushbroomImage:
-    """An image in the orbit of another one, turned about the pole to where it has to be, that looks at the nadir."""
-    seconds = np.linspace(-60.0, 60.0, 2401)
-    passes = np.interp(MIDDLE[1], planetocentric(like.trajectory.pose(seconds).position)[:, 1], seconds)
-    half = 0.5 * label.lines * label.period
-    times = np.linspace(-half - 0.5, half + 0.5, 9)
-    pose = like.trajectory.pose(passes + times)
-    turn = MIDDLE[0] - planetocentric(like.trajectory.pose(np.array([passes])).position)[0, 0]
-    east = rotation.exponential(np.array([0.0, 0.0, turn]))
-    position = pose.position @ east.T
-    down = -position / np.linalg.norm(position, axis=1, keepdims=True)
-    across = pose.matrix[:, 1] @ east.T
-    across -= np.einsum("ni,ni->n", across, down)[:, None] * down
-    across /= np.linalg.norm(across, axis=1, keepdims=True)
-    matrix = np.stack([np.cross(across, down), across, down], axis=1)
-    body_fixed = AttitudeTable(times[[0, -1]], np.tile([1.0, 0.0, 0.0, 0.0], (2, 1)), np.eye(3))
-    tables = PositionTable(times, position, pose.velocity @ east.T), AttitudeTable(
-        times, rotation.from_matrix(matrix), np.eye(3)
-    )
-    interior: InteriorOrientation = replace(
-        like.interior, first=np.array([0.0, label.first_sample]), sample_summing=label.sample_summing
-    )
-    timing = LineTiming(np.zeros(1), np.array([-half]), np.array([label.period]))
-    trajectory = Trajectory(0.0, *tables, body_fixed)
-    return PushbroomImage(label.product, label.lines, label.samples, interior, timing, trajectory, like.body)
-
-
-def resected(image: PushbroomImage, points: Array, places: Array) -> OrientationCorrection:
-    """The correction that brings ground points (n, 3) to image places (n, 2): least squares with a wide prior."""
-    x = np.zeros(UNKNOWN.size)
-
-    def projected(unknowns: Array) -> Array:
-        correction = OrientationCorrection((unknowns * UNKNOWN.ravel()).reshape(UNKNOWN.shape))
-        return image.ground_to_image(points, correction)[0].ravel() / TIE_SIGMA
-
-    for _ in range(8):
-        before = projected(x)
-        columns = [(projected(x + 1e-4 * unit) - before) / 1e-4 for unit in np.eye(x.size)]
-        design = np.concatenate([np.stack(columns, axis=1), np.eye(x.size)])
-        x = x + np.linalg.lstsq(design, np.append(places.ravel() / TIE_SIGMA - before, -x), rcond=None)[0]
-    return OrientationCorrection((x * UNKNOWN.ravel()).reshape(UNKNOWN.shape))
+def resected(label: LineScanLabel, like: PushbroomImage, points: Array, places: Array) -> (
+    tuple[PushbroomImage, OrientationCorrection]
+):
+    """The start of `mgsgraph new` for an image without kernels, and its adjustment to known ground points (n, 3)."""
+    image = nominal_image(label, like, ground_in_middle(label, places, points), name=M01)
+    ids = tuple(f"{k}" for k in range(len(points)))
+    ties = free_points("ties", ids, np.arange(len(ids)), (M01,) * len(ids), places, TIE_SIGMA)
+    known = replace(ties, kinds=np.full(len(ids), PointKind.FIXED), places=points)
+    network = build_network({M01: KnownImage(image, UNKNOWN)}, [known])
+    assert network is not None
+    return image, adjust_network(network).correction(M01)
 
 
 # --- E02/01461, of which there is a map
@@ -298,8 +270,7 @@ def trial(data: Path, settings: MatchSettings) -> Trial:
     size = np.array(window.pixels.shape)
     inside = np.all((local > 0.0) & (local < size), axis=1)
     inside[inside] = np.isfinite(window.pixels[tuple(local[inside].astype(int).T)])
-    m01 = nominal_image(read_line_scan_label(plain), image)
-    correction = resected(m01, points[~inside], ties.m01[~inside])
+    m01, correction = resected(read_line_scan_label(plain), image, points[~inside], ties.m01[~inside])
     predicted = m01.ground_to_image(points, correction)[0]
     up = points / np.linalg.norm(points, axis=1, keepdims=True)
     rays = image.sightlines(*ties.e02.T)[1]

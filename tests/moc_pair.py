@@ -41,15 +41,15 @@ def moc_pair_project(shared_data: Path, folder: Path) -> tuple[Path, dict[str, t
     grid, ties, crop = script.MapGrid.read(cube), script.read_ties(pair / "tie_points.csv"), script.read_map(cube)
     ground = script.ground_about(image, grid, crop.shape, shared_data)
     window = script.into_camera(image, apparent, grid, crop, ground)
-    other = script.nominal_image(read_line_scan_label(plain), image)
     points = ground.meet(*image.sightlines(*ties.e02.T))
     local = ties.e02 - window.corner
     inside = np.all((local > 0.0) & (local < window.pixels.shape), axis=1)
     inside[inside] = np.isfinite(window.pixels[tuple(local[inside].astype(int).T)])
     assert inside.sum() == GIVEN
+    other, _ = script.resected(read_line_scan_label(plain), image, points[~inside], ties.m01[~inside])
     first = replace(window.image, name="E02/01461")
     second = replace(other, name="M01/00115")
-    known = [KnownImage(first, OrientationPrior(script.RESECTED)), KnownImage(second, OrientationPrior(script.UNKNOWN))]
+    known = [KnownImage(first, OrientationPrior(script.RESECTED)), KnownImage(second, script.UNKNOWN)]
     n, free = len(ties.names), np.where(inside)[0]
     up = points / np.linalg.norm(points, axis=1, keepdims=True)
     covariances = np.eye(3) * 20.0**2 + (script.HEIGHT_SIGMA**2 - 20.0**2) * up[:, :, None] * up[:, None, :]

@@ -6,7 +6,7 @@ Tables and keys of a case file, as its schema has them: for `mgsgraph new --keys
 import textwrap
 import types
 import typing
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
 from functools import cache
@@ -17,6 +17,7 @@ import msgspec
 
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.case.passes import mounted_images
+from mgsgraph.case.resection import resected_images
 from mgsgraph.case.schema import CaseInput, ImageInput, OrientationInput, SolverInput, SpiceInput
 from mgsgraph.errors import InputError, errors_from, require
 from mgsgraph.files.decoding import CASE_FILE, read_toml, validated
@@ -33,6 +34,7 @@ _FILES: tuple[ImageKind, ...] = ("isd", "state", "label", "cube")
 _OF_KINDS: dict[str, tuple[ImageKind, ...]] = {
     "kernels": ("label",), "constants": ("label",), "focal_length_m": ("label",), "attitude_bias_s": ("label",),
     "position_bias_s": ("label",), "line_times": ("label",), "aberration": ("isd", "cube"), "observer": ("isd", "cube"),
+    "resection": ("label", "cube"),
 }  # fmt: skip
 """Keys that say something of files of some kinds alone."""
 _FORMER = {
@@ -178,14 +180,25 @@ def read_images(
         _require_of_pass(tables, orientations, of_pass, f"{path}, passes[{k}]{entry.name and f' ({entry.name})'}")
         if not entry.sorted_by_time:  # else which of them are one pass isn't known yet
             by_number |= _hrsc_images(tables, of_pass, path)
-    for j, (image, orientation) in enumerate(zip(tables.images, orientations, strict=True)):
-        if j not in by_number:
-            by_number[j] = read_image(image, tables.spice, path.parent, f"{path}, images[{j}]")
-        by_number[j] = orientation.nominal_of(by_number[j])
-    images = tuple(by_number[j] for j in range(len(tables.images)))
+    by_number |= _with_files(tables, by_number, path)
+    by_number |= resected_images(tables, by_number, path)
+    images = tuple(orientation.nominal_of(by_number[j]) for j, orientation in enumerate(orientations))
     images = mounted_images(tables.mountings, instruments(tables, path), images, str(path))
     require_distinct(images, f"{path}, images")
     return images
+
+
+def image_of(tables: CaseInput, number: int, path: Path) -> PushbroomImage:
+    """One image of the case file at a path, with those that it rests on (`case.resection`) where that is so."""
+    if tables.images[number].resection is not None:
+        return resected_images(tables, _with_files(tables, (), path), path)[number]
+    return read_image(tables.images[number], tables.spice, path.parent, f"{path}, images[{number}]")
+
+
+def _with_files(tables: CaseInput, done: Collection[int], path: Path) -> dict[int, PushbroomImage]:
+    """Images whose orbit files say, by their numbers, but for those that are done."""
+    numbers = [j for j, entry in enumerate(tables.images) if j not in done and entry.resection is None]
+    return {j: image_of(tables, j, path) for j in numbers}
 
 
 def instruments(tables: CaseInput, path: Path) -> list[str]:
@@ -203,8 +216,9 @@ def _require_of_pass(
         entry = tables.images[j]
         if entry.held:
             raise InputError(where, f"image {entry.name}, which is held", "adjusted images", "take one of the two out")
-        if entry.orientation is not None:
-            found = f"image {entry.name}, which has an orientation table of its own"
+        if entry.orientation is not None or entry.resection is not None:
+            table = "a resection" if entry.resection else "an orientation table"
+            found = f"image {entry.name}, which has {table} of its own"
             raise InputError(where, found, "images that their pass says it for", "take one of the two out")
         if (nominal := orientations[j].nominal) != "trajectory":
             found = f"image {entry.name} with nominal = {nominal!r}"
@@ -260,6 +274,8 @@ def _required_kernels(entry: ImageInput, spice: SpiceInput | None, folder: Path,
 
 def read_image(entry: ImageInput, spice: SpiceInput | None, folder: Path, where: str) -> PushbroomImage:
     """By an image's plain entry (`case_file.plain_image`), if it can be; `where` names the table in errors."""
+    if entry.resection is not None:
+        raise InputError(where, "a resection", "an image of a case, whose ties others share", "name its kernels")
     return _plausible(_read(entry, spice, folder, where), entry, folder)
 
 

@@ -44,6 +44,11 @@ _MEGDR_STEPS: dict[str, MegdrResolution] = {"c": "4", "e": "16", "h": "128"}
 """Pixels per degree of MEGDR's grids, by the letter in their names."""
 
 
+_WIDE = 1000.0
+"""m, sigma of heights that leave the relief's scale to the images: with the terrain's own one, relief that the terrain
+model lacks pulls the unknown base of a resected image."""
+
+
 class Part(NamedTuple):
     """A table of the case that may turn out not to go with the others."""
 
@@ -175,7 +180,11 @@ def _terrain(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -
             text += commented(f"topography = {place(heights[0], out)}", "radius minus topography is the areoid")
         resolution = _MEGDR_STEPS.get(path.name[10:11].lower(), "none")
         grid = MEGDR_SIGMAS.get(resolution) if kinds[path] is Kind.RADII else None
-        text += commented(f"vertical_sigma_m = {grid or 10.0}", f"of its heights{' between its posts' if grid else ''}")
+        if any(draft.resected for draft in images):
+            text += commented(f"vertical_sigma_m = {_WIDE}", "wide: else relief pulls the resected image")
+        else:
+            posts = " between its posts" if grid else ""
+            text += commented(f"vertical_sigma_m = {grid or 10.0}", f"of its heights{posts}")
         text += commented("planimetric_sigma_m = 200.0", "of its horizontal place as a whole, which becomes an unknown")
         yield path, text, False
 
@@ -199,6 +208,7 @@ _NOT_TAKEN = (Kind.CASE, Kind.LIST, Kind.OWN_RECORD, *(kind for kind in INSTEAD 
 _UNKNOWN, _NO_TEXT = "an unknown kind of file", "a name that is no Unicode text, as a case file is"
 """Why a file is left out."""
 _ROUGH = "a rough guess: the label has no times of its lines; name the image itself, or a text file of them"
+_NO_ORBIT = "no kernels; start by its label and tie points, with wide a-priori sigmas"
 _HEAD = """\
 # Written by `mgsgraph new`, and yours to change. All keys: mgsgraph new --keys.
 format = 1
@@ -208,6 +218,10 @@ _ORIENTATION = """
 [orientation]                           # corrections of each image: polynomials of the line, with a-priori sigmas
 degree = 2
 {sigmas}trend = [1.0, 0.1, 0.01]                # of these, for the terms 1, u, u^2 (u = -1 .. 1 along the image)
+"""
+_RESECTION = """\
+resection = {}                          # no kernels: orbit like the other image's, place by tie points, nadir; or state
+# resection = { longitude_deg = 0.0, latitude_deg = 0.0, altitude_km = 400.0, emission_deg = 0.0 }
 """
 _NO_MEASURES = """
 # No tie points, ground control or laser shots with measures yet: `mgsgraph match` finds ties. Or name a network:
@@ -275,6 +289,7 @@ def draft_case(given: Sequence[Path], out: Path, name: str = "", replace: bool =
     remarks = [f"- {many(len(images), 'image')} of {next(iter(bodies))}: {called}"]
     remarks += [f"- {part.path.name}: {kinds[part.path]}{part.note and f', {part.note}'}" for part in parts]
     remarks += [f"- {draft.path.name}: {_ROUGH} (line_times)" for draft in images if draft.line_times is not None]
+    remarks += [f"- {draft.path.name}: {_NO_ORBIT} (resection)" for draft in images if draft.resected]
     remarks += [f"- No image for {len(missing)} that networks name: {some(missing, len(missing))}"] if missing else []
     remarks += [f"- A-priori sigmas of {accuracy.words}" for accuracy in (usual, *others)]
     remarks += [f"- Left out: {line}" for line in left_out]
@@ -388,6 +403,7 @@ def _images(images: Sequence[DraftImage], usual: Accuracy, out: Path) -> str:
         text += f"pixels = {place(draft.pixels, out)}\n" if draft.pixels is not None else ""
         if (accuracy := accuracy_of(draft.image.mission)) != usual:
             text += commented(f"orientation = {{ {', '.join(accuracy.keys)} }}", f"a-priori sigmas of {accuracy.words}")
+        text += _RESECTION if draft.resected else ""
         text += commented(f"line_times = {quoted(draft.line_times)}", _ROUGH) if draft.line_times is not None else ""
     return text
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from mgsgraph.case.case_file import plain_image, read_image
+from mgsgraph.case.resection import nominal_image
 from mgsgraph.case.schema import ImageInput, SpiceInput
 from mgsgraph.errors import InputError
 from mgsgraph.files.cameras.label import read_line_scan_label
@@ -23,6 +24,8 @@ _NO_SERIAL = (Kind.CUBE_TABLES, Kind.SUPPORT_DATA, Kind.MODEL_STATE)
 """Kinds that know no serial number; a label whose name begins as theirs has it."""
 _LINE_TIMES = "line_times"
 """Key that the reader of a label without times of its lines asks for."""
+_SAME_START = 1.0
+"""s; labels round the time of the first line."""
 _PICTURES = (Kind.CUBE, Kind.PDS3, Kind.RASTER, Kind.PICTURE)
 
 
@@ -45,6 +48,8 @@ class DraftImage(NamedTuple):
     """File of its pixels, where its own file has none and a picture has its name."""
     line_times: str | None = None
     """What stands for the times of its lines, where its file doesn't have them."""
+    resected: bool = False
+    """Whether nothing but its label says how it was taken (`case.resection`)."""
 
 
 class DraftImages(NamedTuple):
@@ -83,6 +88,8 @@ def draft_images(kinds: Mapping[Path, Kind], kernels: Sequence[Path]) -> DraftIm
         left_out[other.path] = f"the same image as {chosen.path.name}"
     drafts, excluded = _on_one_body(drafts)
     left_out |= excluded
+    if spice is None:
+        drafts += _resected([path for path in files if path in left_out], kinds, drafts, left_out)
     ordered = tuple(sorted(drafts, key=lambda draft: float(draft.image.span[0])))
     stems = [draft.path.stem for draft in ordered]
     reasons = [
@@ -90,6 +97,29 @@ def draft_images(kinds: Mapping[Path, Kind], kernels: Sequence[Path]) -> DraftIm
         if not any(path.stem.startswith(stem) for stem in stems)  # labels beside what was taken
     ]
     return DraftImages(ordered, tuple(reasons))
+
+
+def _resected(
+    files: Sequence[Path], kinds: Mapping[Path, Kind], drafts: Sequence[DraftImage], left_out: dict[Path, str]
+) -> list[DraftImage]:
+    """Images of labels without kernels, as if they showed what the first other image shows; taken out of those that are
+    left out. Those at the time of another image are a second file of that.
+    """
+    resected = list[DraftImage]()
+    for path in files if drafts else ():
+        try:
+            label, like = read_line_scan_label(path), drafts[0].image
+            image = nominal_image(label, like, like.image_to_ground(*like.middle)[0][0])
+        except InputError:  # why it is left out is said
+            continue
+        same = [d for d in (*drafts, *resected) if abs(d.image.span[0] - image.span[0]) < _SAME_START]
+        if same:
+            left_out[path] = f"the same image as {same[0].path.name}"
+            continue
+        del left_out[path]
+        aliases = frozenset({label.serial, label.product, path.stem})
+        resected.append(DraftImage(path, kinds[path], label.serial, aliases, image, False, resected=True))
+    return resected
 
 
 def _on_one_body(drafts: Sequence[DraftImage]) -> tuple[list[DraftImage], dict[Path, str]]:

@@ -151,6 +151,40 @@ class OrientationInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
             return OrientationPrior(np.outer(factors[: self.degree + 1], np.concatenate([position, angle])))
 
 
+RESECTED = {"position_sigma_m": 5000.0, "angle_sigma_mrad": 10.0}
+"""Of a resected start, by convention. A camera 400 km up that looks 5 mrad (0.3 degrees) off the nadir is 2 km beside
+its start over the same ground. Attitude and position err together; as independent errors they need larger sigmas."""
+
+
+_Turn = Annotated[float, msgspec.Meta(ge=-360.0, le=360.0)]
+
+
+def _resected(orientation: OrientationInput) -> OrientationInput:
+    return msgspec.structs.replace(orientation, **RESECTED)
+
+
+class ResectionInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Where an image was taken from of which no kernels are at hand: by its label's time, and a circular orbit that
+    passes over its middle, in the plane of another image's orbit turned about the pole.
+    """
+
+    longitude_deg: _Turn | None = None
+    """East longitude of the image's middle; when absent, by the tie points that it shares with other images."""
+    latitude_deg: Annotated[float, msgspec.Meta(gt=-90.0, lt=90.0)] | None = None
+    """Planetocentric latitude of it; together with the longitude."""
+    altitude_km: Annotated[float, msgspec.Meta(gt=0.0, le=1e6)] | None = None
+    """Altitude above the ellipsoid; that of `like` when absent."""
+    emission_deg: Annotated[float, msgspec.Meta(gt=-80.0, lt=80.0)] = 0.0
+    """Emission angle at its middle: positive where the camera looks to the right of the flight, negative to the
+    left."""
+    north_azimuth_deg: _Turn | None = None
+    """Angle from the direction of increasing samples clockwise to north, as archives have it; when absent the camera
+    is turned against the flight as that of `like`."""
+    like: str = ""
+    """Name of the image whose orbit it resembles, which says inclination and altitude; when absent the first one with
+    an orbit."""
+
+
 class ImageInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """One image of the case: its geometry, its pixels, and what is known of its orientation."""
 
@@ -184,6 +218,8 @@ class ImageInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Position of time t is the SPK's of t + this."""
     line_times: Annotated[str, msgspec.Meta(min_length=1)] | None = None
     """HRSC without its line prefixes: a text file with the times of its lines, or "mean" (files.cameras.label)."""
+    resection: ResectionInput | None = None
+    """Start of an image of which no kernels are at hand, with wide a-priori sigmas (docs/own_files.md)."""
     held: bool = False
     """Keep its orientation as it is."""
     aberration: Literal["NONE", "LT+S"] | None = None
@@ -397,8 +433,11 @@ class CaseInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
     @property
     def orientations(self) -> list[OrientationInput]:
-        """[orientation] of each image: its own, or that of the case."""
-        return [image.orientation or self.orientation for image in self.images]
+        """[orientation] of each image: its own, or that of the case; of a resected one with the sigmas of its start."""
+        return [
+            image.orientation or (_resected(self.orientation) if image.resection else self.orientation)
+            for image in self.images
+        ]
 
     def priors(self, where: str, images: Sequence[PushbroomImage]) -> tuple[OrientationPrior, ...]:
         """Priors of the corrections of all images, which have been read; `where` names the file in errors."""

@@ -59,12 +59,10 @@ def case_setting(case: Path) -> ExchangeSetting:
     """Names and sizes of a case's images, the body's ellipsoid and, if known by its size, name; the case's other files
     need not be there.
     """
-    from mgsgraph.case.case_file import decode, read_image
+    from mgsgraph.case.case_file import decode, image_of
 
     tables = decode(case)
-    images = [
-        read_image(entry, tables.spice, case.parent, f"{case}, images[{j}]") for j, entry in enumerate(tables.images)
-    ]
+    images = [image_of(tables, j, case) for j in range(len(tables.images))]
     body = images[0].body
     target = target_name(body)
     sizes = {image.name: (image.lines, image.samples) for image in images}

@@ -270,6 +270,51 @@ class FixedTrajectory:
         return self.sampled.pose(times)
 
 
+_NODES = 9
+"""Of the tables of a circular orbit: an image takes seconds, a thousandth of a turn."""
+
+def circular_flight(
+    epoch: float, half: float, place: Array, velocity: Array, spin: Array, attitude: Array
+) -> FixedTrajectory:
+    """A circular orbit about the body with a camera that keeps its attitude against the flight.
+
+    Parameters
+    ----------
+    epoch : float
+        s TDB past J2000, middle of the flight.
+    half : float
+        s, before and after the epoch.
+    place, velocity : (3,)
+        m and m/s at the epoch, body-fixed axes; the velocity is that in inertial space, at right angles to the place.
+    spin : (3,)
+        rad/s, angular velocity of the body, body-fixed axes.
+    attitude : (3, 3)
+        Flight frame (along the velocity, to its right, down to the body's centre) to camera frame.
+
+    Notes
+    -----
+    With n = place x velocity / |place|^2, the flight turns by n t in space, the body beneath it by spin t: body-fixed
+    r(t) = Exp(-[spin]x t) Exp([n]x t) place, and the flight frame turns likewise.
+    """
+    times = np.linspace(-half, half, _NODES)
+    normal = np.cross(place, velocity) / (place @ place)
+    turns = rotation.exponential(-times[:, None] * spin) @ rotation.exponential(times[:, None] * normal)
+    positions = turns @ place
+    table = PositionTable(times, positions, turns @ velocity - np.cross(spin, positions))
+    matrices = attitude @ flight_frame(place, velocity) @ np.swapaxes(turns, 1, 2)
+    camera = AttitudeTable(times, rotation.continuous(rotation.from_matrix(matrices)), np.eye(3))
+    return FixedTrajectory(epoch, table, camera)
+
+
+def flight_frame(place: Array, velocity: Array) -> Array:
+    """(3, 3) body-fixed axes to the flight frame of a camera at a place (3,) in m: unit vectors along the horizontal
+    part of its velocity (3,) in inertial space, to the right of that, and down to the body's centre.
+    """
+    down = -rotation.unit_vectors(place)
+    along = rotation.unit_vectors(velocity - (velocity @ down) * down)
+    return np.stack([along, np.cross(down, along), down])
+
+
 J2000 = datetime(2000, 1, 1, 12, tzinfo=UTC)
 """Zero of all times."""
 YEARS = (-1.0e9, 3.2e9)

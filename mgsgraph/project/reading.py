@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from mgsgraph.analysis.places import View
-from mgsgraph.case.case_file import decode, read_image, read_images
+from mgsgraph.case.case_file import decode, image_of, read_images
 from mgsgraph.case.passes import members
 from mgsgraph.case.schema import CaseInput, TerrainInput
 from mgsgraph.case.terrain import as_grid, read_terrain_model
@@ -274,8 +274,7 @@ def oriented_images(path: Path, names: Sequence[str] = ()) -> OrientedImages:
 
 
 def _read_image(case_input: CaseInput, index: int, path: Path) -> PushbroomImage:
-    image = read_image(case_input.images[index], case_input.spice, path.parent, f"{path}, images[{index}]")
-    return case_input.orientations[index].nominal_of(image)
+    return case_input.orientations[index].nominal_of(image_of(case_input, index, path))
 
 
 def _numbers_of(known_names: Sequence[str], names: Sequence[str], path: Path) -> list[int]:
