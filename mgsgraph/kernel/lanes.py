@@ -8,6 +8,7 @@ its rows go.
 """
 
 import operator
+from collections.abc import Callable
 from typing import Any
 
 from llvmlite import ir
@@ -278,18 +279,34 @@ if _config.DISABLE_JIT:  # plain Python, to look at or to count: arrays are what
             sink[index + k * step : index + k * step + FOUR] = [array[row + k] for row in (a, b, c, d)]
 
 
-lane = njit(fastmath={"contract", "nsz"}, **options_of_parts())
+
+
+def _part(fastmath: set[str], **options: Any) -> Callable[[Any], Any]:
+    """A decorator of parts of the sweep, compiled once for all numbers: not again for each constant that is passed."""
+    compile_part = njit(fastmath=fastmath, **options, **options_of_parts())
+
+    def make(function: Any) -> Any:
+        part = compile_part(function)
+        if not _config.DISABLE_JIT:
+            template = part.get_call_template
+            part.get_call_template = lambda given, named: template(tuple(map(types.unliteral, given)), named)
+        return part
+
+    return make
+
+
+lane = _part({"contract", "nsz"})
 """Compile a function over lanes: division by zero gives inf, as in NumPy; products and sums may be fused.
 
 Not cached: the sweep is, with everything in it.
 """
 
-inlined = njit(fastmath={"contract", "nsz"}, forceinline=True, **options_of_parts())
+inlined = _part({"contract", "nsz"}, forceinline=True)
 """The same for what is taken in by its caller: what is called lane by lane; and what is given all rows, whose arrays a
 call copies to the stack, below the stages of a tile.
 """
 
-summing = njit(fastmath={"contract", "nsz", "reassoc"}, **options_of_parts())
+summing = _part({"contract", "nsz", "reassoc"})
 """The same for sums over lanes, whose order is free."""
 
 STATE_WIDTH = 9
