@@ -126,7 +126,8 @@ def export(
         support = {image.name: case.parent / image.isd for image in images if image.isd is not None}
         files = {image.name: Path(image.pixels or image_file(image)).name for image in images}
     results = results_of(solution)
-    settings = ExportSettings(scaled, support, files, networks, raster, verify, case, update)
+    of_cubes = case or (results.case if Target.CUBES in targets else None)
+    settings = ExportSettings(scaled, support, files, networks, raster, verify, of_cubes, update)
     require_supported(targets, settings)
     print_sentences(results.warning)
     several = out is not None and len(set(targets)) > 1

@@ -352,6 +352,10 @@ def test_the_command_updates_the_cubes_of_the_case(shared_data: Path, tmp_path: 
         assert (out / "cube1.isd").read_bytes() == (tmp_path / "cube1.isd").read_bytes()
     first, second = (read_solution(tmp_path / result) for result in ("first", "second"))
     assert [np.abs(part.correction(0).coefficients[0, 3:]).max() > 1e-6 for part in (first, second)] == [True, False]
+    project = tmp_path / "project"
+    assert call("project", "init", project, "--case", tmp_path / "case.toml") == 0
+    assert call("project", "solve", project, "--no-figures") == 0
+    assert call("export", project, "--to", "cubes", "--out", tmp_path / "of-project") == 0
     case = tmp_path / "again.toml"
     case.write_text((tmp_path / "case.toml").read_text().replace('image = "', 'image = "second-cubes/'))
     message = refusal("export", tmp_path / "first", "--to", "cubes", "--case", case, "--out", out)
