@@ -28,7 +28,7 @@ import numpy as np
 from mgsgraph.adjustment.covariances import Linearised
 from mgsgraph.adjustment.fit import residuals
 from mgsgraph.adjustment.marginals import begins
-from mgsgraph.errors import InputError
+from mgsgraph.errors import require
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.rows import GROUND, IMAGE, NO_LOSS, OUT, RANGE, STEREO, SURFACE
 
@@ -193,8 +193,7 @@ def _parts(at: Linearised, points: Index) -> Iterator[_Part]:
     """Piece by piece, point by point; rows without a weight are left out."""
     index = np.sort(at.layout.patterns.point_index[points])
     index = index[at.rows.kind[index] != OUT]
-    if not index.size:
-        raise InputError("tests of the residuals", "no point that took part", "some", "adjust the case again")
+    require(index.size, "tests of the residuals", "no point that took part", "some", "adjust the case again")
     piece = at.layout.patterns.piece_of(index)
     for number in np.unique(piece).tolist():
         _, first, count, _, among = at.rows.piece[number].tolist()

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network, Process, ProcessPrior
 from mgsgraph.record import Record
@@ -87,8 +87,7 @@ def sought_strengths(network: Network) -> list[Strength]:
         if len(pass_.nodes) > _MOST and any(k == of for members in members_of.values() for of, _ in members):
             remedy = "state the strengths that a shorter part of the pass gives"
             raise InputError(f"pass {pass_.name!r}, strengths", f"{len(pass_.nodes)} nodes", f"{_MOST} at most", remedy)
-    if not members_of:
-        raise InputError("strengths of processes", "none that is to be estimated", 'some with sigma = "estimated"')
+    require(members_of, "strengths of processes", "none that is to be estimated", 'some with sigma = "estimated"')
     sought = list[Strength]()
     for number, ((part, kind, _), members) in enumerate(members_of.items()):
         names = tuple(network.passes[k].name for k, _ in members)

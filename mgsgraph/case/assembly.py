@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.case.schema import AltimetryInput, LaserInput, ShotsInput, TerrainInput
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.networks.tie_points import PointKind, TiePoints
 from mgsgraph.geometry.altimetry import (
     AltimeterShots,
@@ -289,8 +289,7 @@ class Parts:
     ) -> Network:
         """All of it as one network; `entry` is the table of the terrain model on which tie points lie, if any."""
         points = GroundPoints(self._ids(), *(concatenated(part) for part in zip(*self._points, strict=True)))
-        if not self._rays:
-            raise InputError("case", "no image measures at all", "tie points, or laser shots measured in images")
+        require(self._rays, "case", "no image measures at all", "tie points, or laser shots measured in images")
         back_projected = np.concatenate(self._back_projected)
         point, image, places, sigmas = (concatenated(part) for part in zip(*self._rays, strict=True))
         rays, common = common_matches(

@@ -11,7 +11,7 @@ import numpy as np
 import spiceypy
 from spiceypy.utils.exceptions import NotFoundError
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.export.spice_nodes import Reprojection, images_of
 from mgsgraph.files.labels.kernels import loaded, spice_words
 
@@ -165,8 +165,7 @@ def _distorted(camera: _Camera, ideal: Numbers) -> Numbers:
         "NONE": _none, "LROC_NAC": _lroc, "RADIAL": _radial, "KAGUYA_TC": _kaguya_tc, "KAGUYA_MI": _kaguya_mi,
         "MOC_WIDE": _moc_wide, "THEMIS_IR": _themis,
     }  # fmt: skip
-    if camera.distortion not in forms:
-        raise InputError("instrument kernel, DISTORTION", repr(camera.distortion), ", ".join(forms))
+    require(camera.distortion in forms, "instrument kernel, DISTORTION", repr(camera.distortion), ", ".join(forms))
     model, place = forms[camera.distortion], ideal.copy()
     c1, c2, c3 = camera.radial
 

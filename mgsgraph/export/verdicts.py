@@ -18,7 +18,7 @@ import msgspec
 import numpy as np
 
 from mgsgraph.case.assembly import in_images
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.networks.record import ControlNetwork
 from mgsgraph.files.networks.tie_points import TiePoints, tie_points
 from mgsgraph.files.opening import read_text
@@ -102,8 +102,7 @@ def read_verdicts(path: str | Path) -> Verdicts:
     path = Path(path)
     head, body, first_line = _split(read_text(path))
     networks = {match[1] for line in head if (match := _NETWORK.match(line))}
-    if len(networks) > 1:
-        raise InputError(str(path), "verdicts about two networks", "about one", "give each a file of its own")
+    require(len(networks) <= 1, str(path), "verdicts about two networks", "about one", "give each a file of its own")
     of, notes = dict[str, Verdict](), dict[str, str]()
     (where, header), *rows = _rows(body, first_line, path) or [(str(path), [])]
     _require_header(header, where)

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, cast, get_args
 from urllib.parse import urlsplit
 
 from mgsgraph.case.terrain import MEGDR_SIGMAS, MegdrResolution
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.decoding import LARGEST_TOML, toml_table
 from mgsgraph.files.opening import read_text
 from mgsgraph.record import Record
@@ -256,8 +256,7 @@ def read_product(text: str) -> Product:
 
 def products_of(texts: Sequence[str]) -> tuple[Product, ...]:
     """Ids in their order, each once, of one mission."""
-    if not texts:
-        raise InputError("images", "none", "at least one id, such as E02/00665")
+    require(texts, "images", "none", "at least one id, such as E02/00665")
     products = tuple(dict.fromkeys(map(read_product, texts)))
     require_one_mission(products)
     return products

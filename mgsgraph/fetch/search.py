@@ -17,7 +17,7 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.fetch.camera_search import CameraSearch
 from mgsgraph.fetch.download import NotInArchive, Remote
 from mgsgraph.fetch.kernel_phases import Interval, find_kernels
@@ -89,8 +89,7 @@ def _candidates(orbit: int, archives: Archives, remote: Remote) -> Iterator[str]
 
 
 def _label_text(head: bytes, where: str) -> str:
-    if b"PDS_VERSION_ID" not in head:
-        raise InputError(where, f"it begins with {head[:16]!r}", "a PDS3 label", "try another mirror")
+    require(b"PDS_VERSION_ID" in head, where, f"it begins with {head[:16]!r}", "a PDS3 label", "try another mirror")
     return head.decode("latin-1")
 
 

@@ -18,7 +18,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.networks.record import MeasureType, PointType, require_shown
 from mgsgraph.files.networks.tie_points import FARTHEST
 from mgsgraph.files.opening import LARGEST_NUMBER, finite_number, read_text
@@ -167,8 +167,7 @@ def csv_text(text: str, path: Path, numbers: Index | None = None) -> CsvText:
                 _fields(line, f"{path}, line {k}")
         text, numbers = "\n".join(line for _, line in lines), np.array([k for k, _ in lines], dtype=np.int64)
     head, _, body = text.partition("\n")
-    if not head:
-        raise InputError(str(path), "an empty table", "a header, and rows below it")
+    require(head, str(path), "an empty table", "a header, and rows below it")
     numbers = np.arange(1, text.count("\n") + 2) if numbers is None else numbers
     header = f"line {numbers[0]}"
     names = tuple(name.strip() for name in _fields(head, f"{path}, {header}"))

@@ -20,7 +20,7 @@ from io import BufferedReader
 from pathlib import Path
 from typing import Any
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.geometry.records import LONGEST_NAME
 
 LARGEST = 1 << 32
@@ -99,8 +99,7 @@ def _regular(path: Path, limit: int) -> int:
     if not kind and status.st_size <= limit:
         return descriptor
     os.close(descriptor)
-    if kind:
-        raise InputError(str(path), kind, "a file")
+    require(not kind, str(path), kind, "a file")
     raise InputError(str(path), f"{status.st_size / 1e6:.0f} MB", f"at most {limit / 1e6:.0f} MB of such a file")
 
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, ClassVar, Protocol
 
 import numpy as np
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.factors.algebra import transform
 from mgsgraph.factors.collinearity import (
     by_interior,
@@ -158,8 +158,7 @@ class PushbroomImage(Record):
         return np.array([0.5 * self.lines]), np.array([0.5 * self.samples])
 
     def __post_init__(self) -> None:
-        if not self.name:
-            raise InputError("image", "an empty name", "the name by which networks refer to it")
+        require(self.name, "image", "an empty name", "the name by which networks refer to it")
         if self.lines < 1 or self.samples < 1:
             raise InputError(f"image {self.name}", f"{self.lines} x {self.samples} lines x samples", "at least 1 x 1")
         edges, period = self.timing.at(np.array([0.0, float(self.lines)]))

@@ -6,7 +6,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.names import Names
 
 _Scalar = TypeVar("_Scalar", bound=np.generic)
@@ -125,8 +125,7 @@ def frozen_index(value: ArrayLike, where: str, size: int, upper: int) -> Index:
             raise InputError(where, f"{given.dtype} values {given[:3].tolist()}", "whole numbers")
         given = given.astype(np.int64)
     array = given
-    if array.shape != (size,):
-        raise InputError(where, f"{array.size} indices", f"{size}")
+    require(array.shape == (size,), where, f"{array.size} indices", f"{size}")
     if array.size and (array.min() < 0 or array.max() >= upper):
         raise InputError(where, f"index {array.min()} .. {array.max()}", f"0 .. {upper - 1}")
     array.flags.writeable = False
@@ -136,8 +135,7 @@ def frozen_index(value: ArrayLike, where: str, size: int, upper: int) -> Index:
 def frozen_mask(value: ArrayLike | None, where: str, size: int) -> Mask:
     """Read-only marks (size,), none set when absent; `where` names them in errors."""
     mask: Mask = np.zeros(size, dtype=np.bool_) if value is None else of_kind(value, np.bool_)
-    if mask.shape != (size,):
-        raise InputError(where, f"shape {mask.shape}", f"one for each of {size}")
+    require(mask.shape == (size,), where, f"shape {mask.shape}", f"one for each of {size}")
     mask.flags.writeable = False
     return mask
 

@@ -15,7 +15,7 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.factors.surface import bilinear, cubic, height_above, post_coordinates
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import from_planetocentric, in_turn, planetocentric
@@ -219,8 +219,7 @@ class TerrainGrid(Record):
             raise InputError(where, f"posts of shape {radii.shape}", "at least 2 x 2")
         if self.kind not in get_args(TerrainKind):
             raise InputError(f"{where}, kind", repr(self.kind), f"one of {', '.join(get_args(TerrainKind))}")
-        if np.any(np.isinf(radii)):
-            raise InputError(where, "an infinite post", "metres, or NaN where a post is missing")
+        require(not np.any(np.isinf(radii)), where, "an infinite post", "metres, or NaN where a post is missing")
         if self.kind in ("radius", "areoid") and np.nanmin(radii, initial=np.inf) <= 0.0:
             raise InputError(where, f"a {self.kind} of {np.nanmin(radii):g} m", "positive numbers")
         for name in ("longitude_step", "latitude_step"):
@@ -406,8 +405,7 @@ class TerrainGrid(Record):
         return self.radii.shape == other.radii.shape and bool(difference < _SAME_PLACE)
 
     def _require(self, kind: TerrainKind, what: str) -> None:
-        if self.kind != kind:
-            raise InputError(f"terrain {self.source}", f"a grid of {self.kind}", f"a grid of {kind} for {what}")
+        require(self.kind == kind, f"terrain {self.source}", f"a grid of {self.kind}", f"a grid of {kind} for {what}")
 
     def __repr__(self) -> str:
         rows, columns = self.radii.shape

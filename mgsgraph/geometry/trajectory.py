@@ -23,7 +23,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from mgsgraph.errors import EphemerisGap, InputError
+from mgsgraph.errors import EphemerisGap, InputError, require
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.records import Array, assign, frozen, read_only
 from mgsgraph.names import Names, RepeatedNames
@@ -31,8 +31,7 @@ from mgsgraph.record import Record
 
 
 def _check_times(times: Array, where: str) -> None:
-    if times.size < 2:
-        raise InputError(where, f"{times.size} samples", "at least 2")
+    require(times.size >= 2, where, f"{times.size} samples", "at least 2")
     step = np.diff(times)
     if np.any(step <= 0.0):
         k = int(np.argmax(step <= 0.0))
@@ -180,8 +179,7 @@ class Trajectory(Record):
     """Inertial to body-fixed frame."""
 
     def __post_init__(self) -> None:
-        if not np.isfinite(self.epoch):
-            raise InputError("trajectory, epoch", f"{self.epoch}", "s TDB past J2000")
+        require(np.isfinite(self.epoch), "trajectory, epoch", f"{self.epoch}", "s TDB past J2000")
         start, stop = self.coverage
         if start >= stop:
             raise InputError(

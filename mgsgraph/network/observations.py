@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.networks.tie_points import PointKind, TiePoints
 from mgsgraph.geometry.altimetry import (
     SPOT_WIDTHS,
@@ -357,8 +357,7 @@ def posts_of(model: TerrainModel, least: float) -> Posts:
     """
     lattice = model.lattice
     present = np.isfinite(lattice.values)
-    if not np.any(present):
-        raise InputError(f"terrain {lattice.source}", "no post", "a model of the images' ground")
+    require(np.any(present), f"terrain {lattice.source}", "no post", "a model of the images' ground")
     sides = _sides(lattice)
     wanted = max(least, *sides.tolist())
     high, wide = np.maximum(np.rint(wanted / sides), 1.0).astype(int).tolist()

@@ -24,7 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.geometry.orientation import SUPPORT, OrientationImages
 from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen, frozen_index
 from mgsgraph.network.conditioning import Conditionals, Process, conditionals, variances
@@ -382,8 +382,7 @@ class Pass(Record):
     polynomial, which holds before and after them."""
 
     def __post_init__(self) -> None:
-        if not self.name:
-            raise InputError("pass", "an empty name", "what to call it")
+        require(self.name, "pass", "an empty name", "what to call it")
         images = frozen_index(self.images, f"pass {self.name!r}, images", np.size(self.images), 2**31)
         if images.size == 0 or np.unique(images).size != images.size:
             raise InputError(f"pass {self.name!r}, images", f"{images.tolist()[:10]}", "at least one, each once")

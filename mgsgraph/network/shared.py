@@ -16,7 +16,7 @@ from functools import cache
 
 import numpy as np
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import Angles, Moments, Sine
@@ -170,8 +170,7 @@ class SharedUnknown(Record):
 
     def __post_init__(self) -> None:
         where = f"shared unknown {self.name!r}"
-        if not self.name:
-            raise InputError("shared unknown", "an empty name", "what to call it")
+        require(self.name, "shared unknown", "an empty name", "what to call it")
         if (self.sine is None) == (self.kind is SharedKind.VIBRATION):
             raise InputError(where, f"{self.kind}, sine {self.sine}", "a sine of a vibration alone")
         images = frozen_index(self.images, f"{where}, images", np.size(self.images), 2**31)

@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.names import Names
@@ -240,8 +240,7 @@ def planned_point(
 
 def require_candidates(where: str, names: Sequence[str]) -> None:
     """Raise InputError for no candidate, and for a name given twice."""
-    if not names:
-        raise InputError(where, "no candidate", "at least one image, profile or control point")
+    require(names, where, "no candidate", "at least one image, profile or control point")
     for name in sorted({candidate for candidate in names if names.count(candidate) > 1})[:1]:
         raise InputError(where, f"two candidates named {name!r}", "each name once")
 

@@ -9,7 +9,7 @@ import numpy as np
 from mgsgraph.adjustment.graph.forms import IN_PROCESS
 from mgsgraph.adjustment.incremental.state import ground_motion
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.errors import InputError, WeakNetwork, errors_from
+from mgsgraph.errors import InputError, WeakNetwork, errors_from, require
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.records import Array
@@ -102,8 +102,7 @@ def targets_of(state: NetworkState, names: Sequence[str]) -> Targets:
             raise InputError("target", f"{name!r} beside names", "either 'ties' or 'all', or names")
         if (name in place and not moving[place[name]]) or (name in images and network.held[images[name]]):
             raise InputError("target", f"{name!r}, which is held and has no sigma", "an adjusted one")
-    if not names:
-        raise InputError("target", "none", "'ties', 'all', or names of points and images")
+    require(names, "target", "none", "'ties', 'all', or names of points and images")
     return Targets(tuple(n for n in names if n in place), tuple(n for n in names if n not in place), names)
 
 

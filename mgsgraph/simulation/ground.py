@@ -14,7 +14,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.geometry.body import Ellipsoid, from_planetocentric, in_turn, intersect_ellipsoid, planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
@@ -227,8 +227,7 @@ def make_terrain(site_name: str, seed: int) -> SiteTerrain:
     """Ground of a study site, ``eos``, ``gusev`` or ``isidis``; the same name and seed (zero or positive) give the same
     ground. InputError if there is no such site.
     """
-    if site_name not in SITES:
-        raise InputError("simulated ground", f"site {site_name!r}", f"one of {', '.join(SITES)}")
+    require(site_name in SITES, "simulated ground", f"site {site_name!r}", f"one of {', '.join(SITES)}")
     if seed < 0:
         raise InputError("simulated ground, seed", f"{seed}", "zero or a positive whole number")
     ground = SITES[site_name]

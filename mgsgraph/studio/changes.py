@@ -75,8 +75,7 @@ def change(opened: Opened, content: Mapping[str, Any]) -> dict[str, Any]:
         No project; another process changes it; the change is refused. Nothing has changed then.
     """
     kind = text_of(content, "kind")
-    if kind not in _KINDS:
-        raise InputError("change, kind", repr(kind)[:60], f"one of {', '.join(_KINDS)}")
+    require(kind in _KINDS, "change, kind", repr(kind)[:60], f"one of {', '.join(_KINDS)}")
 
     def act(project: Project) -> tuple[Changed, list[dict[str, Any]]]:
         edited = _KINDS[kind](project, content)

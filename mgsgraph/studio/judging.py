@@ -5,7 +5,7 @@ from functools import cached_property
 from pathlib import Path
 from threading import RLock
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.export.verdicts import (
     Verdict,
     Verdicts,
@@ -57,8 +57,7 @@ class Judging:
         InputError
             No verdict, no tie point of the case, or a file that can't be written. Nothing has changed then.
         """
-        if verdict not in list(Verdict):
-            raise InputError("request, verdict", repr(verdict)[:60], f"one of {', '.join(Verdict)}")
+        require(verdict in list(Verdict), "request, verdict", repr(verdict)[:60], f"one of {', '.join(Verdict)}")
         for name, number in zip(points, self._ties().ids.find(list(points)).tolist(), strict=True):
             if number < 0:
                 raise InputError(f"point {name}", "no tie point of the case", "one of its tie points")

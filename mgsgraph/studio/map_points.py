@@ -11,7 +11,7 @@ from mgsgraph.analysis.measures import MeasureKind
 from mgsgraph.analysis.places import SigmaGrid, sigma_grid
 from mgsgraph.analysis.reliability import reliability
 from mgsgraph.analysis.statistics import counts, medians, span
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.output.table import digits, plain
 from mgsgraph.geometry.body import east_north_up, from_planetocentric, places_at, planetocentric
 from mgsgraph.geometry.records import Array, Index, Mask, thinned
@@ -92,8 +92,7 @@ class MapPoints:
 
     def value(self, name: str) -> Array:
         """(n,) a value of the points, one of `VALUES`; NaN where unknown."""
-        if name not in VALUES:
-            raise InputError("request, value", repr(name)[:60], f"one of {', '.join(VALUES)}")
+        require(name in VALUES, "request, value", repr(name)[:60], f"one of {', '.join(VALUES)}")
         makers: dict[str, Callable[[], Array]] = {
             "sigma": lambda: np.sqrt(np.trace(self.local, axis1=1, axis2=2)),
             "sigma_horizontal": lambda: np.sqrt(self.local[:, 0, 0] + self.local[:, 1, 1]),

@@ -15,7 +15,7 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
 from mgsgraph.analysis.posterior import Pixel, Posterior
-from mgsgraph.errors import InputError, MgsgraphError
+from mgsgraph.errors import InputError, MgsgraphError, require
 from mgsgraph.files.opening import json_object
 from mgsgraph.files.output.table import plain
 from mgsgraph.geometry.records import Array, Mask
@@ -161,8 +161,7 @@ def questions_of(content: dict[str, Any]) -> Questions:
         if isinstance(error, InputError):
             raise
         raise InputError("questions", repr(content)[:80], expected) from None
-    if not questions:
-        raise InputError("questions", "none", expected)
+    require(questions, "questions", "none", expected)
     return questions
 
 

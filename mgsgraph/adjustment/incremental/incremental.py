@@ -30,7 +30,7 @@ from mgsgraph.adjustment.incremental.state import (
 from mgsgraph.adjustment.incremental.sweep import Sweep
 from mgsgraph.adjustment.incremental.trajectories import extended, shortened, turned_bundles, unknowns_of
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.networks.tie_points import TiePoints
 from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.image import PushbroomImage
@@ -174,8 +174,7 @@ class IncrementalAdjustment(Record):
 
     def _as_network(self) -> tuple[Network, Array]:
         """All of it as one network, and the places (n, 3) in m of its points as they are in store."""
-        if not self.store.members():
-            raise InputError("incremental adjustment", "no points", "observations in at least one image")
+        require(self.store.members(), "incremental adjustment", "no points", "observations in at least one image")
         return self.store.as_network()
 
     # --- what may be done

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.altimetry.shot_values import crossings, known_ranges, positions, require_records, shots_with
 from mgsgraph.files.opening import read_bytes
 from mgsgraph.files.pvl import Block, flat_label
@@ -214,8 +214,7 @@ def _frames(content: bytes, label: Block | None, path: Path) -> NDArray[np.void]
             str(path), f"{body} bytes of frames: {body // size} frames and {body % size} bytes more",
             f"frames of {size} bytes", "the file is cut short or its records have another length: fetch it again",
         )
-    if body == 0:
-        raise InputError(str(path), "no frames", f"frames of {size} bytes after the label", "fetch it again")
+    require(body != 0, str(path), "no frames", f"frames of {size} bytes after the label", "fetch it again")
     if label is not None:
         require_records(label, len(content) // size, header // size)
     frames = np.frombuffer(content, FRAME, offset=header)

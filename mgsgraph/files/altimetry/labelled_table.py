@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.altimetry.binary import RECORD, lola_shots
 from mgsgraph.files.altimetry.shot_values import crossings, known_ranges, positions, require_records, shots_with
 from mgsgraph.files.altimetry.tables import plain_name
@@ -129,8 +129,7 @@ def require_whole(path: Path, content: bytes) -> None:
 
 def _beside(path: Path, block: Block, key: str) -> Path:
     """The file that a pointer names, in the label's folder, whatever the case of its letters."""
-    if not key:
-        raise InputError(str(path), "no pointer such as ^TABLE", "the label of a table in a file of its own")
+    require(key, str(path), "no pointer such as ^TABLE", "the label of a table in a file of its own")
     items = block.words(key)
     if len(items) > 1 and items[1] != "1":
         raise InputError(block.where(key), f"a table from {items[1]} on in its file", "a table that is all of its file")
@@ -208,8 +207,7 @@ class _Rows:
         lengths, has_radius = self._valid(radius or height, "radius" if radius else "height")
         places = [self._valid(columns[name], name) for name in ("longitude", "latitude")]
         ground = has_radius & places[0][1] & places[1][1]
-        if not np.any(ground):
-            raise InputError(str(self.path), f"{ground.size} rows without a ground return", "some with one")
+        require(np.any(ground), str(self.path), f"{ground.size} rows without a ground return", "some with one")
         times, n = self._times(columns["tdb"], columns["utc"]), self._rows.size
         unknown = np.full(n, np.nan), np.zeros(n, dtype=bool)
         ranges, has_range = self._valid(columns["range"], "range") if columns["range"] is not None else unknown

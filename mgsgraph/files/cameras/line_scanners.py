@@ -36,7 +36,7 @@ Imager of Kaguya (SELENE).
 import re
 from dataclasses import replace
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.cameras.camera import (
     Camera,
     Interior,
@@ -184,8 +184,7 @@ def _without_masked(block: LabelBlock, label: LineScanLabel) -> LineScanLabel:
     if block.kind == "isis":
         return label
     summing = int(label.sample_summing)
-    if label.sample_summing not in (1.0, 2.0):
-        raise InputError(str(label.path), f"summing {label.sample_summing:g}", "1 or 2")
+    require(label.sample_summing in (1.0, 2.0), str(label.path), f"summing {label.sample_summing:g}", "1 or 2")
     whole = label.first_sample == 0.0
     if whole and label.samples != _LINE // summing:
         found = f"{label.samples} samples from the first pixel on"

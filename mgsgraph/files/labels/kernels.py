@@ -16,7 +16,7 @@ import numpy as np
 import spiceypy
 from spiceypy.utils.exceptions import NotFoundError, SpiceyError
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.labels.kernel_files import require_summaries, require_uncut, require_whole
 from mgsgraph.files.opening import LARGEST_TEXT, finite_number, read_bytes
 from mgsgraph.geometry import rotation
@@ -90,13 +90,11 @@ def _text_of(path: Path) -> bytes:
     require_whole(path)
     with spice_words(str(path)):
         kind, _ = spiceypy.getfat(str(path))
-    if kind == "XFR":
-        raise InputError(str(path), "a transfer file", "a binary kernel", "convert it with NAIF's tobin")
+    require(kind != "XFR", str(path), "a transfer file", "a binary kernel", "convert it with NAIF's tobin")
     if kind in ("DAF", "DAS"):
         return b""
     text = read_bytes(path, LARGEST_TEXT)
-    if b"\\begindata" not in text:
-        raise InputError(str(path), "no SPICE kernel", "a binary kernel, or a text kernel with \\begindata")
+    require(b"\\begindata" in text, str(path), "no SPICE kernel", "a binary kernel, or a text kernel with \\begindata")
     require_uncut(path, text)
     return text
 

@@ -27,7 +27,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.networks.asp_text import (
     FROM_ASP,
     RENAME,
@@ -92,10 +92,8 @@ def read_match(path: Path, images: tuple[str, str]) -> MatchFile:
     if len(data) < _HEAD:
         raise InputError(str(path), f"{len(data)} bytes", _EXPECTED)
     first, second = np.frombuffer(data, _COUNTS, 2).tolist()
-    if first != second:
-        raise InputError(str(path), f"{first} places in one image, {second} in the other", "as many in both")
-    if first == 0:
-        raise InputError(str(path), "no match", "at least one")
+    require(first == second, str(path), f"{first} places in one image, {second} in the other", "as many in both")
+    require(first != 0, str(path), "no match", "at least one")
     if first + second > (len(data) - _HEAD) // _RECORD.itemsize:
         raise InputError(str(path), f"{len(data)} bytes for {first} matches", _EXPECTED, "it is cut short, or no such")
     records = _records(data, first + second, str(path)).reshape(2, first)
@@ -114,8 +112,7 @@ def _records(data: bytes, count: int, where: str) -> np.ndarray:
         position += size + _DESCRIPTOR * number
         if position > len(data):
             raise InputError(where, f"place {k + 1} of {count} lies beyond its end", _EXPECTED, "it is cut short")
-    if position != len(data):
-        raise InputError(where, f"{len(data) - position} bytes after the last place", _EXPECTED)
+    require(position == len(data), where, f"{len(data) - position} bytes after the last place", _EXPECTED)
     rows = np.frombuffer(data, np.uint8)[starts[:, None] + np.arange(size)]
     return np.asarray(rows.view(_RECORD)[:, 0])
 
@@ -128,8 +125,7 @@ def read_match_text(path: Path, images: tuple[str, str]) -> MatchFile:
             raise InputError(where, f"{len(fields)} fields", "six numbers: x1 y1 unc1 x2 y2 unc2")
         rows.append([number_of(text, where) for text in fields])
         places.append(where)
-    if not rows:
-        raise InputError(str(path), "no match", "at least one")
+    require(rows, str(path), "no match", "at least one")
     table = np.array(rows, dtype=np.float64).reshape(-1, 2, 3).swapaxes(0, 1)
     for k in np.flatnonzero(np.any(table[..., 2] <= 0.0, axis=0))[:1]:
         raise InputError(places[k], f"uncertainty {table[:, k, 2].min():g} px", "a positive one")
@@ -270,8 +266,7 @@ def _network(
     twice = (np.diff(track) == 0) & (np.diff(image) == 0)
     wrong = np.unique(track[1:][twice])
     fine = np.isin(track, wrong, invert=True)
-    if not np.any(fine):
-        raise InputError(source, f"only contradictory matches ({len(wrong)} points)", "one place of a point per image")
+    require(np.any(fine), source, f"only contradictory matches ({len(wrong)} points)", "one place of a point per image")
     first = np.flatnonzero(np.diff(track[fine], prepend=-1, append=-1))
     n, k = first.size - 1, int(first[-1])
     places, sigmas = places[fine] + FROM_ASP, np.where(sigmas[fine] > 0.0, sigmas[fine], np.nan)

@@ -32,7 +32,7 @@ from pathlib import Path
 import numpy as np
 from msgspec import structs
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.datum import NAMED, datum_of_wkt, is_same, require_same, wkt_of
 from mgsgraph.files.networks.record import (
     ControlMeasure,
@@ -230,8 +230,7 @@ def read_ground_control_network(path: Path, body: Ellipsoid, datum: Ellipsoid | 
             found = f"the id twice, first in{points[fields[0]][0].removeprefix(f'{path},')}"
             raise InputError(where, found, "each id once")
         points[fields[0]] = line, _gcp_point(fields, ellipsoid, where)
-    if not points:
-        raise InputError(str(path), "no ground control point", "one per line: id latitude longitude height sigmas")
+    require(points, str(path), "no ground control point", "one per line: id latitude longitude height sigmas")
     return with_names(ControlNetwork("", "", tuple(point for _, point in points.values()), source=str(path)))
 
 
@@ -409,8 +408,7 @@ def read_nvm(path: Path, centres: Centres | None = None, shifted: bool = True) -
     if not head[0].startswith(_FIRST):
         raise InputError(where, f"{head[0][:40]!r}", _FIRST)
     cameras = [_camera(*following("the last camera")) for _ in counted("cameras")]
-    if len(set(cameras)) != len(cameras):
-        raise InputError(str(path), "an image twice among its cameras", "each image once")
+    require(len(set(cameras)) == len(cameras), str(path), "an image twice among its cameras", "each image once")
     centres = _centres(path, cameras, centres) if shifted else dict.fromkeys(cameras, (0.0, 0.0))
     points = tuple(_nvm_point(*following(f"point {k}"), k, cameras, centres) for k in counted("points"))
     for where, fields in lines:  # VisualSFM ends the list of models with 0, the pipeline with the file
@@ -481,8 +479,7 @@ def nvm_files(network: ControlNetwork, path: Path, centres: Centres) -> dict[Pat
     """
     measures = measures_of(network, _ALL_TYPES, least=2)
     where = network.source or "network"
-    if not measures.points:
-        raise InputError(where, "no point that two images see", "at least one")
+    require(measures.points, where, "no point that two images see", "at least one")
     for name in measures.images:
         if name not in centres:
             raise InputError(where, f"no size of image {name}", "the size of each image", _REMEDY)

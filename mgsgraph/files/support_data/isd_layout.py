@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 import numpy as np
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.decoding import Count, Number, Positive
 from mgsgraph.geometry.camera import (
     CahvorDistortion,
@@ -99,8 +99,7 @@ def distortion_of_support(models: Mapping[str, Mapping[str, Any]], focal_length:
     """
     if not models:
         return NoDistortion()
-    if len(models) > 1:
-        raise InputError(where, f"{len(models)} models: {', '.join(models)}", "one")
+    require(len(models) <= 1, where, f"{len(models)} models: {', '.join(models)}", "one")
     ((stated, values),) = models.items()
     name = stated.lower()
     model = _model_named(name, f"the model {stated!r}", where)
@@ -126,10 +125,8 @@ def distortion_of_state(number: int, coefficients: list[float], focal_length: fl
 
 
 def _model_named(name: str, found: str, where: str) -> _Model:
-    if name in _FRAMING:
-        raise InputError(where, f"{found}, of a framing camera", f"a line scanner's: {KNOWN}")
-    if name not in _MODELS:
-        raise InputError(where, found, f"{KNOWN}, or none at all")
+    require(name not in _FRAMING, where, f"{found}, of a framing camera", f"a line scanner's: {KNOWN}")
+    require(name in _MODELS, where, found, f"{KNOWN}, or none at all")
     return _MODELS[name]
 
 
