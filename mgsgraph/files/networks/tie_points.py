@@ -129,8 +129,8 @@ class TiePoints(Record):
             measure_point=new[left.measure_point],
         )
 
-    def with_measures(self, which: Mask) -> "TiePoints":
-        """All of the points, with some of their measures (k,)."""
+    def with_measures(self, which: Mask | Index) -> "TiePoints":
+        """All of the points, with some of their measures (k,), or these in another order."""
         return replace(
             self,
             measure_point=self.measure_point[which],
