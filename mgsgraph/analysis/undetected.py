@@ -243,7 +243,7 @@ class Motions:
             except np.linalg.LinAlgError:  # nearly parallel rays: it moves anywhere
                 covariances[k] = np.eye(3)
                 continue
-            self.follow[k, :, _columns(at, rows.variables)] = follows.T
+            self.follow[k, :, at.layout.variables.columns_of_all(rows.variables)] = follows.T
             self.noise[k] = noise @ noise.T
             covariances[k] = self.noise[k] + follows @ at.joint.of(rows.variables) @ follows.T
             kinds = at.rows.observation_kind[at.rows.pattern_observation[pattern] + rows.observation]
@@ -269,12 +269,6 @@ class Motions:
         moved = self.follow @ shared + self._control.get(control, 0.0)
         whitened = np.einsum("nij,nj->ni", self.whitening, moved)
         return math.sqrt(np.mean(np.sum(moved**2, axis=1))), math.sqrt(np.mean(whitened**2))
-
-
-def _columns(at: Linearised, variables: tuple[int, ...]) -> Index:
-    """(c,) columns of some variables."""
-    parts = [np.arange(*at.layout.columns_of(v).indices(at.layout.columns)) for v in variables]
-    return np.concatenate([np.zeros(0, dtype=np.int64), *parts])
 
 
 def _per_meter(kind: int, axis: int, by_point: Array, places: Array) -> Array:

@@ -166,8 +166,7 @@ class ReducedNetwork:
     def columns(self, names: Sequence[Unknown]) -> Index:
         """Columns of some unknowns, one after another."""
         number = {name: v for v, name in enumerate(self.names)}
-        parts = [np.arange(*self.layout.columns_of(number[name]).indices(self.layout.columns)[:2]) for name in names]
-        return np.concatenate([np.zeros(0, dtype=np.int64), *parts])
+        return self.layout.variables.columns_of_all(number[name] for name in names)
 
     @property
     def adjusted(self) -> list[Unknown]:

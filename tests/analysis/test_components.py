@@ -336,7 +336,9 @@ def test_planted_blunders_go_and_nothing_else_does() -> None:
     found, gone = snooped(planted())
     assert gone == {"TIE00004", "SHOT00006", "SHOT00009", "SHOT00011"}
     assert np.sum(planted().rays.point[found.rays_rejected] == TIE) == 2
-    assert not np.any(reliability(found, Levels()).severity > 1.0)
+    tested = reliability(found, Levels()).measures
+    for k in (1, 2, 3):
+        assert np.all(tested.joint[tested.dimensions == k] <= Levels().critical_squares(k))
     assert found.sigma0 == pytest.approx(adjust_network(clean(), SolverSettings()).sigma0, abs=0.1)
 
 
