@@ -252,11 +252,10 @@ class Parts:
     def add_altimetry(self, cloud: AltimetryCloud, entry: AltimetryInput) -> None:
         """Shots in an image or its margin: constrained points in profiles of unknown shift, height and drift."""
         selected = cloud.chosen(np.any(points_in_images(self.images, cloud.points, entry.margin_px), axis=0))
-        if not selected.ids:
-            raise InputError(
-                cloud.source, f"{len(cloud.ids)} shots, none within {entry.margin_px:g} pixels of an image",
-                "altimetry that crosses the images", "take the table out, or check file and images",
-            )  # fmt: skip
+        require(
+            selected.ids, cloud.source, f"{len(cloud.ids)} shots, none within {entry.margin_px:g} pixels of an image",
+            "altimetry that crosses the images", "take the table out, or check file and images",
+        )  # fmt: skip
         name, (horizontal, vertical) = Path(cloud.source).name.split(".")[0], entry.sigma_m
         first, n = self._claim(selected.ids.prefixed(f"{name}:"), cloud.source), len(selected.ids)
         covariances = footprint_covariances(selected.points, horizontal, vertical)

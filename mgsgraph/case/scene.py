@@ -111,11 +111,10 @@ def _ground(
         terrain = as_grid(read_terrain_model(model, path, images)[0])
     chart = _chart(images, height or 0.0)
     heights = _heights(tables, images, path, terrain) if height is None else np.array([height])
-    if heights.size == 0:
-        raise InputError(
-            str(path), "neither a terrain model nor laser shots under the images", "the height of their ground",
-            "add [terrain], or give --height METRES",
-        )
+    require(
+        heights.size, str(path), "neither a terrain model nor laser shots under the images",
+        "the height of their ground", "add [terrain], or give --height METRES",
+    )  # fmt: skip
     if height_sigma is None:
         height_sigma = _ABOUT_MODEL if terrain is not None else max(_LEAST_SIGMA, 2.0 * float(heights.std()))
     ground = Ground(chart, body, float(heights.mean()), height_sigma, terrain)

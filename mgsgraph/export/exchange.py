@@ -197,8 +197,7 @@ def _listed(paths: Paths) -> list[Path]:
 
 def _match(path: Path, form: Format, setting: ExchangeSetting) -> MatchFile:
     """One match file; its images by the names that are known, unless a prefix is."""
-    if not os.path.exists(path):  # said before its name is taken apart, which may be a pattern that met nothing
-        raise InputError(str(path), "no such file", remedy="check the path")
+    require(os.path.exists(path), str(path), "no such file", remedy="check the path")
     names = () if setting.prefix is not None else setting.old_names()
     return (read_match if form == Format.MATCH else read_match_text)(path, named_images(path, names, setting.prefix))
 

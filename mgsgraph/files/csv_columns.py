@@ -296,8 +296,7 @@ def header_of(fields: Sequence[str], where: str) -> tuple[str, ...]:
     place, uncertainty = whole(names, PLACES, where), whole(names, UNCERTAINTIES, where)
     if uncertainty and not place:
         raise InputError(where, f"{uncertainty[0]} without an a-priori place", "x_m, y_m and z_m, or others")
-    if uncertainty == NORMAL and place != GEODETIC:
-        raise InputError(where, "sigma_height_m without height_m", "sigma_radius_m")
+    require(uncertainty != NORMAL or place == GEODETIC, where, "sigma_height_m without height_m", "sigma_radius_m")
     return names
 
 

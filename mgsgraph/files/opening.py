@@ -109,8 +109,7 @@ def read_bytes(path: Path, limit: int = LARGEST) -> bytes:
         content = file.read(os.fstat(file.fileno()).st_size + 1)
         while len(content) <= limit and (more := file.read(_PIECE)):  # those of /proc don't say how long they are
             content += more
-    if len(content) > limit:
-        raise InputError(str(path), "a file without an end", f"at most {limit / 1e6:.0f} MB")
+    require(len(content) <= limit, str(path), "a file without an end", f"at most {limit / 1e6:.0f} MB")
     return content
 
 

@@ -60,8 +60,7 @@ class LineTiming(Record):
         if lines.size == 0 or np.any(np.diff(lines) <= 0.0):
             raise InputError("line timing, first lines", f"{lines.tolist()}", "at least one, increasing")
         periods = frozen(self.periods, "line timing, periods", (lines.size,))
-        if np.any(periods <= 0.0):
-            raise InputError("line timing, periods", f"{periods.min()} s per line", "positive periods")
+        require(np.all(periods > 0.0), "line timing, periods", f"{periods.min()} s per line", "positive periods")
         starts = frozen(self.start_times, "line timing, start times", (lines.size,))
         if np.any(np.diff(starts) <= 0.0):
             raise InputError("line timing, start times", "times that go back", "increasing start times")
@@ -352,8 +351,7 @@ class PolynomialTrajectory:
             raise InputError(where, f"{self.start} .. {self.stop} s past {self.epoch} s", "finite, start before stop")
         position = frozen(self.position, f"{where}, position", (None, 3))
         angles = frozen(self.angles, f"{where}, angles", (None, 3))
-        if not position.size or not angles.size:
-            raise InputError(where, "no coefficients", "at least the constant ones")
+        require(position.size and angles.size, where, "no coefficients", "at least the constant ones")
         assign(self, position=position, angles=angles)
         if self.spin is not None:
             assign(self, spin=frozen(self.spin, f"{where}, spin", (3,)))

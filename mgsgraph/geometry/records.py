@@ -121,8 +121,7 @@ def frozen_index(value: ArrayLike, where: str, size: int, upper: int) -> Index:
         given = given.reshape(-1)
         numbers = given.size == 0 or given.dtype.kind in "iuf"
         whole = given.dtype.kind == "i" or (numbers and np.all(np.abs(given) < 2.0**53) and np.all(given % 1 == 0))
-        if not whole:
-            raise InputError(where, f"{given.dtype} values {given[:3].tolist()}", "whole numbers")
+        require(whole, where, f"{given.dtype} values {given[:3].tolist()}", "whole numbers")
         given = given.astype(np.int64)
     array = given
     require(array.shape == (size,), where, f"{array.size} indices", f"{size}")

@@ -215,8 +215,7 @@ class TerrainGrid(Record):
     def __post_init__(self) -> None:
         where = f"terrain {self.source}"
         radii = np.array(self.radii, dtype=np.float32 if np.asarray(self.radii).dtype == np.float32 else np.float64)
-        if radii.ndim != 2 or min(radii.shape) < 2:
-            raise InputError(where, f"posts of shape {radii.shape}", "at least 2 x 2")
+        require(radii.ndim == 2 and min(radii.shape) >= 2, where, f"posts of shape {radii.shape}", "at least 2 x 2")
         if self.kind not in get_args(TerrainKind):
             raise InputError(f"{where}, kind", repr(self.kind), f"one of {', '.join(get_args(TerrainKind))}")
         require(not np.any(np.isinf(radii)), where, "an infinite post", "metres, or NaN where a post is missing")

@@ -181,11 +181,10 @@ class Trajectory(Record):
     def __post_init__(self) -> None:
         require(np.isfinite(self.epoch), "trajectory, epoch", f"{self.epoch}", "s TDB past J2000")
         start, stop = self.coverage
-        if start >= stop:
-            raise InputError(
-                "trajectory", f"one table begins {start - stop:.6f} s after another has ended",
-                "position, attitude and body rotation at the same times",
-            )
+        require(
+            start < stop, "trajectory", f"one table begins {start - stop:.6f} s after another has ended",
+            "position, attitude and body rotation at the same times",
+        )  # fmt: skip
 
     @property
     def coverage(self) -> tuple[float, float]:

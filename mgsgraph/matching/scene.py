@@ -304,11 +304,10 @@ def pairs_of(scene: Scene) -> list[Pair]:
         Where there is none.
     """
     shared = overlaps(footprints(scene))
-    if not len(shared.pairs):
-        raise InputError(
-            scene.where, "no two of them overlap (by their nominal orientation)", "images of common ground",
-            "check the images and their kernels",
-        )
+    require(
+        len(shared.pairs), scene.where, "no two of them overlap (by their nominal orientation)",
+        "images of common ground", "check the images and their kernels",
+    )  # fmt: skip
     return [Pair(int(i), int(j), float(area)) for (i, j), area in zip(shared.pairs, shared.areas, strict=True)]
 
 

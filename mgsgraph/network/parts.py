@@ -7,7 +7,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import SUPPORT, OrientationPrior
@@ -106,11 +106,10 @@ def require_separable(network: Network) -> None:
             "crossovers of laser profiles", "rows of several profiles in what is adjusted image by image",
             "profiles by themselves", "register them without (`mgsgraph align --no-crossovers`)",
         )
-    if network.linear:
-        raise InputError(
-            "network", "factors of your own on shared unknowns in what is adjusted image by image",
-            "a network without them", "adjust it as a whole",
-        )
+    require(
+        not network.linear, "network", "factors of your own on shared unknowns in what is adjusted image by image",
+        "a network without them", "adjust it as a whole",
+    )  # fmt: skip
     if network.surface is not None and network.surface.raised:
         raise InputError(
             f"terrain {network.surface.grid.source}", "an unknown height or tilt in what is adjusted image by image",

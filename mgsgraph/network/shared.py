@@ -180,8 +180,7 @@ class SharedUnknown(Record):
         if (images.size == 0) != of_profile or np.unique(images).size != images.size:
             raise InputError(f"{where}, images", f"{images.tolist()[:10]}", "at least one image, each once")
         sigmas = frozen(self.sigmas, f"{where}, sigmas", (self.kind.width,))
-        if sigmas.min() <= 0.0:
-            raise InputError(f"{where}, sigmas", f"{sigmas.min()} {self.kind.unit}", "positive sigmas")
+        require(sigmas.min() > 0.0, f"{where}, sigmas", f"{sigmas.min()} {self.kind.unit}", "positive sigmas")
         assign(self, images=images, sigmas=sigmas)
 
     @classmethod

@@ -340,8 +340,7 @@ def plan(
     """
     state = state_of_solution(of)
     require_candidates("plan", [candidate.name for candidate in candidates])
-    if choose < 1:
-        raise InputError("plan", f"{choose} to choose", "at least 1")
+    require(choose >= 1, "plan", f"{choose} to choose", "at least 1")
     targets = targets_of(state, wanted)
     judge = Evaluator(state, targets, criterion)
     useful = [c for c in sorted(candidates, key=lambda c: c.name) if c.addition is not None]

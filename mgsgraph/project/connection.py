@@ -225,8 +225,7 @@ def _require_format(connection: sqlite3.Connection, folder: Path) -> None:
     format_row = connection.execute("SELECT value FROM meta WHERE key = 'format'").fetchone()
     text = str(format_row[0]) if format_row else ""
     require(_FORMAT_NUMBER.fullmatch(text), where, f"no known format ({text})", f"format {FORMAT}", RESTORE_COPY)
-    if int(text) < FORMAT:
-        raise InputError(where, f"a project of format {text}", f"format {FORMAT}", USE_OLD_VERSION)
+    require(int(text) >= FORMAT, where, f"a project of format {text}", f"format {FORMAT}", USE_OLD_VERSION)
     if int(text) > FORMAT:
         version_row = connection.execute("SELECT value FROM meta WHERE key = 'version'").fetchone()
         program = f"mgsgraph {version_row[0]}" if version_row else "mgsgraph"
@@ -245,8 +244,7 @@ def _require_sound(connection: sqlite3.Connection, folder: Path) -> None:
         raise InputError(str(folder), found, remedy=f"{RESTORE_COPY}; if the change was yours, have it signed: {sign}")
     if not expected:
         found = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
-        if found != "ok":
-            raise InputError(str(folder), f"{PROJECT} is damaged ({' '.join(found.split())})", remedy=RESTORE_COPY)
+        require(found == "ok", str(folder), f"{PROJECT} is damaged ({' '.join(found.split())})", remedy=RESTORE_COPY)
 
 
 _UNSUMMED_SPANS = (slice(24, 28), slice(60, 64), slice(92, 100))

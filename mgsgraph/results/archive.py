@@ -321,8 +321,7 @@ def read_solution(path: str | Path) -> "Solution":
     with errors_from(where), understood(where, "an archive of mgsgraph", _READJUST), opened(path, _LARGEST) as file:
         arrays = read_members(file)
         version = int(arrays["format"])
-        if version != FORMAT:
-            raise InputError("format", f"{version}", f"{FORMAT}", _USE_NEWER if version > FORMAT else _USE_OLDER)
+        require(version == FORMAT, "format", f"{version}", f"{FORMAT}", _USE_NEWER if version > FORMAT else _USE_OLDER)
         solution: Solution = from_arrays(record_of(arrays), Solution, "", arrays)
         _require_shapes(solution)
         return solution

@@ -20,8 +20,7 @@ def require_writable(path: Path, project: Path) -> None:
     """
     expected = "a .csv file outside the project for the impact"
     require(path.suffix.lower() == ".csv", str(path), "a name that doesn't end in .csv", expected)
-    if path.exists() and not path.is_file():
-        raise InputError(str(path), "is no file", expected)
+    require(not path.exists() or path.is_file(), str(path), "is no file", expected)
     require(path.parent.is_dir(), str(path), f"no folder {path.parent}", expected, "make it first")
     if resolved(path, "choose another name").is_relative_to(resolved(project, "")):
         raise InputError(str(path), "lies in the project's folder", expected)

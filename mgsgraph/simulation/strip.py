@@ -404,11 +404,10 @@ def _images(settings: StripSettings) -> list[PushbroomImage]:
     sites, headings = ground_track(first, since)
     length = float(np.linalg.norm(np.diff(sites, axis=0), axis=1).sum())
     longest = _LONGEST * MARS.equatorial
-    if length > longest:
-        raise InputError(
-            "strip settings, images", f"a strip of {length / KM:.0f} km, which turns back at the pole",
-            f"at most {longest / KM:.0f} km", "take fewer or shorter images, or more overlap",
-        )
+    require(
+        length <= longest, "strip settings, images", f"a strip of {length / KM:.0f} km, which turns back at the pole",
+        f"at most {longest / KM:.0f} km", "take fewer or shorter images, or more overlap",
+    )  # fmt: skip
     images = []
     for k in range(settings.images):
         pair, off_nadir_turn = divmod(k, 2)

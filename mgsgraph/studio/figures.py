@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from starlette.responses import Response
 
-from mgsgraph.errors import InputError, require
+from mgsgraph.errors import require
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.studio.map_graticule import graticule
 from mgsgraph.studio.map_images import MapImages
@@ -85,8 +85,7 @@ def map_figure(
     from mgsgraph.results.figures.map import MapWindow, window_sheet
 
     require(any(layer in LAYERS for layer in layers), "figure of the map", "no layer", f"some of {', '.join(LAYERS)}")
-    if factor < 0.0:
-        raise InputError("figure of the map, factor", f"{factor:g}", "0 or above")
+    require(factor >= 0.0, "figure of the map, factor", f"{factor:g}", "0 or above")
     opened = images.opened
     points = map_points(opened)
     record = points.window(box, size, value, kinds)

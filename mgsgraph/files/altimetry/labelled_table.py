@@ -159,8 +159,7 @@ class _Rows:
         ]  # fmt: skip
         size = table.count("ROW_BYTES")
         rows, rest = divmod(len(content), size)
-        if not rows or rest:
-            raise InputError(str(path), f"{len(content)} bytes", f"whole rows of {size} bytes, as the label says")
+        require(rows and not rest, str(path), f"{len(content)} bytes", f"whole rows of {size} bytes, as the label says")
         if "ROWS" in table and table.count("ROWS") != rows:
             found, remedy = f"{table.count('ROWS')}, and {rows} rows in the file", "fetch label and table again"
             raise InputError(table.where("ROWS"), found, "as many", remedy)
@@ -286,8 +285,7 @@ class _Rows:
             return self._numbers(column)
         block = column.block
         kind = block.text("DATA_TYPE").lower()
-        if kind not in _TYPES:
-            raise InputError(block.where("DATA_TYPE"), kind, ", ".join(_TYPES))
+        require(kind in _TYPES, block.where("DATA_TYPE"), kind, ", ".join(_TYPES))
         sizes = _SIZES[_TYPES[kind][1]]
         if column.size not in sizes:
             found = f"{kind} of {column.size} bytes"

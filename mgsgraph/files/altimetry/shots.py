@@ -82,8 +82,7 @@ def _shots_or_table(path: Path, clock_bias: float = 0.0, version: str | None = N
     content = read_bytes(path)
     if packed := content.startswith(b"\x1f\x8b"):
         content = unpacked_gzip(content, str(path), max(_SMALL, _MOST_TIMES * len(content)))
-    if not content or content.isspace():
-        raise InputError(str(path), "an empty file", "laser shots")
+    require(content and not content.isspace(), str(path), "an empty file", "laser shots")
     if b"\0" in content:
         shots = _of_records(content, packed, path, clock_bias, version)
     elif content.lstrip().startswith(b"{"):

@@ -115,8 +115,7 @@ def read_line_times(place: LineTimesPlace, lines: int, start: float, stop: float
 
 def _mean(label: str, lines: int, start: float, stop: float) -> LineTimes:
     """STOP_TIME is that of the last line's beginning."""
-    if lines < 2:
-        raise InputError(label, "one line", "at least two for a mean line rate")
+    require(lines >= 2, label, "one line", "at least two for a mean line rate")
     with errors_from(f"{label}, START_TIME, STOP_TIME and lines"):
         return _times(np.zeros(1), np.array([start]), np.array([(stop - start) / (lines - 1)]), lines)
 

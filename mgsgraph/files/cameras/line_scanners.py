@@ -191,8 +191,7 @@ def _without_masked(block: LabelBlock, label: LineScanLabel) -> LineScanLabel:
         expected = f"{_LINE // summing}, masked ones included"
         raise InputError(str(label.path), found, expected, "take the archive's file, or its cube (mroctx2isis)")
     masked = sum(_MASKED if whole else _MASKED_IN_PART) // summing
-    if label.samples <= masked:
-        raise InputError(str(label.path), f"{label.samples} samples", f"more than the {masked} masked ones")
+    require(label.samples > masked, str(label.path), f"{label.samples} samples", f"more than the {masked} masked ones")
     return replace(label, samples=label.samples - masked)
 
 
@@ -410,8 +409,7 @@ def _terrain_by_instrument_kernel(keywords: Keywords, label: LineScanLabel) -> I
 def _swath(block: LabelBlock, label: LineScanLabel) -> LineScanLabel:
     key = "SwathModeId" if block.kind == "isis" else "SWATH_MODE_ID"
     mode = block.text(key).upper()
-    if mode not in _FIRST_PIXEL:
-        raise InputError(block.where(key), repr(mode), f"one of {', '.join(_FIRST_PIXEL)}")
+    require(mode in _FIRST_PIXEL, block.where(key), repr(mode), f"one of {', '.join(_FIRST_PIXEL)}")
     return replace(label, first_sample=label.first_sample + _FIRST_PIXEL[mode])
 
 

@@ -89,8 +89,7 @@ def read_match(path: Path, images: tuple[str, str]) -> MatchFile:
         If it is missing, cut short or longer than it says, its counts differ, or a place or scale is no finite number.
     """
     data = read_bytes(path)
-    if len(data) < _HEAD:
-        raise InputError(str(path), f"{len(data)} bytes", _EXPECTED)
+    require(len(data) >= _HEAD, str(path), f"{len(data)} bytes", _EXPECTED)
     first, second = np.frombuffer(data, _COUNTS, 2).tolist()
     require(first == second, str(path), f"{first} places in one image, {second} in the other", "as many in both")
     require(first != 0, str(path), "no match", "at least one")
@@ -158,8 +157,7 @@ def match_files(network: ControlNetwork, prefix: Path, text: bool = False) -> di
         If there is no such point, or two images have files of one name.
     """
     measures = measures_of(network, {PointType.FREE}, least=2)
-    if not measures.points:
-        raise InputError(network.source or "network", "no free point that two images see", "at least one")
+    require(measures.points, network.source or "network", "no free point that two images see", "at least one")
     require_distinct(measures.images)
     if not np.all(np.abs(measures.pixels) < _LARGEST):
         raise InputError(network.source or "network", "a place beyond 2^31 pixels", "a place in an image")

@@ -405,8 +405,7 @@ def read_nvm(path: Path, centres: Centres | None = None, shifted: bool = True) -
         return range(1, count + 1)
 
     where, head = following("the first line")
-    if not head[0].startswith(_FIRST):
-        raise InputError(where, f"{head[0][:40]!r}", _FIRST)
+    require(head[0].startswith(_FIRST), where, f"{head[0][:40]!r}", _FIRST)
     cameras = [_camera(*following("the last camera")) for _ in counted("cameras")]
     require(len(set(cameras)) == len(cameras), str(path), "an image twice among its cameras", "each image once")
     centres = _centres(path, cameras, centres) if shifted else dict.fromkeys(cameras, (0.0, 0.0))

@@ -211,8 +211,7 @@ def _anew() -> Iterator[None]:
 
 def _bytes(core: Block, key: str) -> int:
     text = core.text(key)
-    if not re.fullmatch(r"\d{1,18}", text, re.ASCII):
-        raise InputError(core.where(key), repr(text[:60]), "a number of bytes")
+    require(re.fullmatch(r"\d{1,18}", text, re.ASCII), core.where(key), repr(text[:60]), "a number of bytes")
     return int(text)
 
 
@@ -382,8 +381,7 @@ def write_binary_network(network: ControlNetwork, path: Path) -> None:
 
 def binary_network(network: ControlNetwork) -> bytes:
     """What `write_binary_network` writes."""
-    if not network.points:
-        raise InputError(network.source or "network", "no control point", "some to write")
+    require(network.points, network.source or "network", "no control point", "some to write")
     points, measures = points_content(network.points, network.where), sum(len(p.measures) for p in network.points)
     header = network_header(network)
     label = network_label(network, len(network.points), measures, len(header), len(points))

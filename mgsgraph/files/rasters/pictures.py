@@ -227,11 +227,10 @@ def _require_size(label: LineScanLabel, area: PixelArea) -> None:
     """Raise InputError unless the file is as long as its label says."""
     plain = area.offset + label.lines * (area.prefix + label.samples + area.suffix)
     expected, size = area.file_size if area.encoding else plain, area.file.stat().st_size
-    if size < expected:
-        raise InputError(
-            str(area.file), f"{size} bytes", f"{expected} for {label.lines} lines of {label.samples} samples",
-            "it is cut short: fetch it again",
-        )
+    require(
+        size >= expected, str(area.file), f"{size} bytes",
+        f"{expected} for {label.lines} lines of {label.samples} samples", "it is cut short: fetch it again",
+    )  # fmt: skip
 
 
 def _plain(label: LineScanLabel, area: PixelArea) -> Pixels:

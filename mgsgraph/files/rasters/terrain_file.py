@@ -342,11 +342,10 @@ def read_terrain(
                 return None
             rows, columns = around
         values = _values(file, rows, columns, path)
-    if kind == "topography" and not projection.by_meridians:
-        raise InputError(
-            str(path), f"topography in the projection {projection.name!r}",
-            "geographic or simple cylindrical coordinates on a sphere", "give areoid, and heights above it as radius",
-        )  # fmt: skip
+    require(
+        kind != "topography" or projection.by_meridians, str(path), f"topography in the projection {projection.name!r}",
+        "geographic or simple cylindrical coordinates on a sphere", "give areoid, and heights above it as radius",
+    )  # fmt: skip
     _require_plausible(values, reference, kind, path, body)
     raster = TerrainRaster(
         str(path), values, projection.cut(rows.start, int(columns[0])), reference, vertical_sigma, planimetric_sigma

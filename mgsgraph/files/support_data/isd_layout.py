@@ -137,8 +137,7 @@ def _listed(values: Any) -> list[Any]:
 def _numbers(values: Any, where: str, size: int) -> list[float]:
     listed = _listed(values)
     good = all(isinstance(v, int | float) and not isinstance(v, bool) and abs(v) < 1e300 for v in listed)
-    if not good or len(listed) != size:
-        raise InputError(where, f"{listed}"[:60], f"{size} finite numbers")
+    require(good and len(listed) == size, where, f"{listed}"[:60], f"{size} finite numbers")
     return [float(value) for value in listed]
 
 

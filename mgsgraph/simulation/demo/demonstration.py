@@ -15,7 +15,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.estimates import PixelEstimate
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.case.reading import Case, adjust, read_case
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.output.table import Column, Table
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.records import Array, thinned
@@ -269,8 +269,7 @@ def simulation_options(
     site: str, attitude_time_bias: float | None = None, pictures: bool = True, known: Sequence[str] = SIMULATED
 ) -> SimulationOptions:
     """Options of a study site's simulation; InputError unless the site is among the `known` ones, and can have them."""
-    if site not in known:
-        raise InputError("site", repr(site), f"{', '.join(known[:-1])} or {known[-1]}")
+    require(site in known, "site", repr(site), f"{', '.join(known[:-1])} or {known[-1]}")
     if site not in SITE_NAMES and attitude_time_bias is not None:
         raise InputError("attitude time bias", f"given for {site}", "a study site", f"take {' or '.join(SITE_NAMES)}")
     return SimulationOptions(attitude_time_bias=attitude_time_bias, pictures=pictures)
