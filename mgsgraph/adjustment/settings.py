@@ -102,8 +102,7 @@ class SolverSettings(Record):
             raise InputError("solver, loss_width", f"{self.loss_width}", "a positive number of sigmas")
         if not (math.isfinite(self.reject) and (self.reject == 0.0 or self.reject >= 2.0)):
             raise InputError("solver, reject", f"{self.reject}", "0 (off) or at least 2 standard deviations")
-        if self.starts is not None and self.starts < 0:
-            raise InputError("solver, starts", f"{self.starts}", "0 (none) or more")
+        require(self.starts is None or self.starts >= 0, "solver, starts", f"{self.starts}", "0 (none) or more")
         require(self.max_iterations >= 1, "solver, max_iterations", f"{self.max_iterations}", "at least 1")
         if self.memory_gb is not None and not (math.isfinite(self.memory_gb) and self.memory_gb > 0.0):
             raise InputError("solver, memory_gb", f"{self.memory_gb}", "a positive number of gigabytes")

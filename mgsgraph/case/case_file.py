@@ -100,8 +100,7 @@ def _refuse_former(value: Any, where: str) -> None:
             expected, remedy = _FORMER.get(key) or _FORMER.get(f"{key} = {inner}", ("", ""))
             if key.endswith("_mgon"):
                 expected, remedy = f"{key.removesuffix('mgon')}mrad", "1 mgon is 0.015708 mrad"
-            if expected:
-                raise InputError(f"{where}, {key}", "a word of earlier versions", expected, remedy)
+            require(not expected, f"{where}, {key}", "a word of earlier versions", expected, remedy)
             _refuse_former(inner, f"{where}, {key}")
 
 

@@ -185,8 +185,7 @@ def members(entries: Sequence[PassInput], names: Sequence[str], path: str) -> li
         if sum(entry.images is None for entry in entries) > 1:
             raise InputError(f"{path}, passes", "several without images", "names: one alone may take those left over")
         left = [j for j in range(len(names)) if j not in owner]
-        if not left:
-            raise InputError(f"{path}, passes[{k}]", "no image that no other table names", "images = [...]")
+        require(left, f"{path}, passes[{k}]", "no image that no other table names", "images = [...]")
         owner |= dict.fromkeys(left, k)
     return [sorted(j for j, at in owner.items() if at == k) for k in range(len(entries))]
 

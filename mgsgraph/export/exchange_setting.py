@@ -105,10 +105,8 @@ def _pairs(option: str, form: str, texts: Iterable[str]) -> list[tuple[str, str]
     pairs = list[tuple[str, str]]()
     for text in texts:
         name, equals, value = text.rpartition("=")
-        if not (name and equals and value):
-            raise InputError(option, repr(text), form)
-        if name in dict(pairs):
-            raise InputError(option, f"{name!r} twice", "each image once")
+        require(name and equals and value, option, repr(text), form)
+        require(name not in dict(pairs), option, f"{name!r} twice", "each image once")
         pairs.append((name, value))
     return pairs
 

@@ -11,7 +11,7 @@ import numpy as np
 import spiceypy
 from spiceypy.utils.exceptions import NotFoundError
 
-from mgsgraph.errors import InputError, require
+from mgsgraph.errors import require
 from mgsgraph.export.spice_nodes import Reprojection, images_of
 from mgsgraph.files.labels.kernels import loaded, spice_words
 
@@ -51,8 +51,7 @@ def spice_differences(folder: Path, expected: Reprojection) -> Numbers:
     with loaded([meta], folder), spice_words(str(meta)):
         cameras = _cameras()
         for name, of_image in images_of(expected).items():
-            if name not in cameras:
-                raise InputError(str(meta), f"no camera constants of the image {name}", "those of every image")
+            require(name in cameras, str(meta), f"no camera constants of the image {name}", "those of every image")
             with np.errstate(all="ignore"):  # far outside the image the polynomials of the optics overflow
                 place = _seen(cameras[name], expected.points[of_image])
             differences[of_image] = np.linalg.norm(place - expected.places[of_image], axis=1)

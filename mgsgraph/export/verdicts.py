@@ -110,12 +110,10 @@ def read_verdicts(path: str | Path) -> Verdicts:
         if len(row) != len(header):
             raise InputError(where, f"{len(row)} fields", f"{len(header)} as in the header", "quote commas in notes")
         name, verdict = row[0], row[1].strip().lower() or Verdict.UNDECIDED.value
-        if not name:
-            raise InputError(where, "no id", "the point's id in the first column")
+        require(name, where, "no id", "the point's id in the first column")
         if verdict not in list(Verdict):
             raise InputError(where, f"the verdict {row[1].strip()[:40]!r}", "accept, reject, undecided or nothing")
-        if name in of:
-            raise InputError(where, f"the id {name!r} a second time", "each id once", "remove one of the two rows")
+        require(name not in of, where, f"the id {name!r} a second time", "each id once", "remove one of the two rows")
         of[name] = Verdict(verdict)
         if note := "".join(row[2:]).strip():
             notes[name] = note

@@ -88,8 +88,7 @@ class Archives(Record):
         table = toml_table(read_text(path, limit=LARGEST_TOML), str(path))
         names = [field.name for field in fields(cls)]
         for key, value in table.items():
-            if key not in names:
-                raise InputError(f"{path}, {key}", "no archive of that name", ", ".join(names))
+            require(key in names, f"{path}, {key}", "no archive of that name", ", ".join(names))
             if not isinstance(value, str):
                 raise InputError(f"{path}, {key}", repr(value)[:60], "an address in quotation marks")
             require_address(value, f"{path}, {key}")

@@ -123,8 +123,7 @@ def read_index(table: Path, label: Path) -> tuple[IndexRow, ...]:
     text = read_bytes(label).decode("latin-1").replace("\r\n", "\n")
     places = {block.text("NAME").upper(): _bytes(block) for block in _columns(whole_label(Document(str(label), text)))}
     for name in _COLUMNS:
-        if name not in places:
-            raise InputError(str(label), f"no column {name}", "the label of an image index")
+        require(name in places, str(label), f"no column {name}", "the label of an image index")
     return tuple(_rows(table, [places[name] for name in _COLUMNS]))
 
 
@@ -186,8 +185,7 @@ def volumes_of(texts: Sequence[str]) -> tuple[str, ...]:
     """Volumes by their names, in capitals or not; InputError for any other."""
     named = tuple(text.strip().lower() for text in texts)
     for name in named:
-        if not _NAME.fullmatch(name):
-            raise InputError(f"volume {name!r}"[:80], "not the name of a volume", "one such as mgsc_1068")
+        require(_NAME.fullmatch(name), f"volume {name!r}"[:80], "not the name of a volume", "one such as mgsc_1068")
     return named
 
 

@@ -286,8 +286,7 @@ def header_of(fields: Sequence[str], where: str) -> tuple[str, ...]:
     for name in names:
         if name not in COLUMNS:
             raise _unknown(name, names, where)
-        if names.count(name) > 1:
-            raise InputError(where, f"the column {name!r} twice", "each once")
+        require(names.count(name) <= 1, where, f"the column {name!r} twice", "each once")
     for name in ("id", "image"):
         if name not in names:
             raise InputError(where, f"no column {name!r}", "id, image, and isis_line, isis_sample or line, sample")

@@ -203,8 +203,7 @@ class Network(Record):
                     expected = "an image of the network, of one pass alone"
                     raise InputError(f"{where}, images", f"image {j}", expected)
                 image = self.images[j]
-                if self.held[j]:
-                    raise InputError(f"{where}, image {image.name}", "it is held", "images that are adjusted")
+                require(not self.held[j], f"{where}, image {image.name}", "it is held", "images that are adjusted")
                 edges, period = image.timing.at(np.array([0.0, float(image.lines)]))
                 if not pass_.whole:
                     continue
@@ -260,8 +259,7 @@ class Network(Record):
                 rows = "range" if unknown.kind is SharedKind.RANGE_BIAS else "measured point"
                 observed = unknown.kind.acts_on_rays and bool(np.any(np.isin(self.rays.image, unknown.images)))
                 observed |= unknown.kind.acts_on_ranges and bool(np.any(np.isin(self.ranges.image, unknown.images)))
-            if not observed:
-                raise InputError(where, f"no {rows} of its images", "some that depend on it", "take it out")
+            require(observed, where, f"no {rows} of its images", "some that depend on it", "take it out")
 
     def _require_resolved(self, unknown: SharedUnknown, sine: Sine, where: str) -> None:
         """Raise InputError for a vibration that lines or rays don't sample, or nearer to another one than its time

@@ -111,8 +111,7 @@ class NodePrior(BiasAndDrift):
         sigmas.flags.writeable = False
         bias, drift = frozen(self.bias, "node prior, bias", (6,)), frozen(self.drift, "node prior, drift", (6,))
         for name, trend in (("bias", bias), ("drift", drift)):
-            if trend.min() < 0.0:
-                raise InputError(f"node prior, {name}", f"{trend.min()}", "sigmas, or 0 for none")
+            require(trend.min() >= 0.0, f"node prior, {name}", f"{trend.min()}", "sigmas, or 0 for none")
             for c in np.flatnonzero((trend > 0.0) & np.isinf(sigmas))[:1]:
                 found = f"sigma {trend[c]} of component {c} whose nodes have none"
                 raise InputError(f"node prior, {name}", found, "a sigma of the nodes, too", "leave it out")

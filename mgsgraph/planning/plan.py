@@ -98,8 +98,7 @@ def targets_of(state: NetworkState, names: Sequence[str]) -> Targets:
         whole = (text if text in place or text in WORDS else image_names([text], list(images))[0] for text in names)
         names = tuple(dict.fromkeys(whole))
     for name in names:
-        if name in WORDS:
-            raise InputError("target", f"{name!r} beside names", "either 'ties' or 'all', or names")
+        require(name not in WORDS, "target", f"{name!r} beside names", "either 'ties' or 'all', or names")
         if (name in place and not moving[place[name]]) or (name in images and network.held[images[name]]):
             raise InputError("target", f"{name!r}, which is held and has no sigma", "an adjusted one")
     require(names, "target", "none", "'ties', 'all', or names of points and images")

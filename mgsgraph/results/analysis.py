@@ -150,8 +150,7 @@ class AnalysisRequest:
 
     def __post_init__(self) -> None:
         for what, value in (("--sigma-px", self.sigma), ("--post", 1.0 if self.cell is None else self.cell)):
-            if not (np.isfinite(value) and value > 0.0):
-                raise InputError(what, f"{value}", "a positive number")
+            require(np.isfinite(value) and value > 0.0, what, f"{value}", "a positive number")
 
 
 _MOST_LINES = 9

@@ -144,8 +144,7 @@ def require_same_versions(client: Any, where: str) -> None:
                 raise InputError(f"{where}, worker {address}", f"no package {name}", f"{name} {version(name)}", remedy)
             if installed != version(name):
                 raise _unlike(where, address, name, installed, version(name))
-        if problem:
-            raise InputError(f"{where}, worker {address}", problem, remedy="repair the installation of that worker")
+        require(not problem, f"{where}, worker {address}", problem, remedy="repair the installation of that worker")
 
 
 def _unlike(where: str, address: str, name: str, installed: str, expected: str) -> InputError:

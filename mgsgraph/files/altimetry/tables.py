@@ -301,8 +301,7 @@ def _meant(table: CsvText, layout: Layout) -> dict[str, str]:
     columns, where = dict[str, str](), f"{table.path}, header"
     for meaning, names in layout.columns.items():
         matches = [name for name in table.names if plain_name(name) in names.split()]
-        if len(matches) > 1:
-            raise InputError(where, f"two columns for the {meaning}", "one")
+        require(len(matches) <= 1, where, f"two columns for the {meaning}", "one")
         if matches:
             columns[meaning] = matches[0]
     for what, meanings in (

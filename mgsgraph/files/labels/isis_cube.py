@@ -293,8 +293,7 @@ def read_isis_cube(
     content = read_json(json_path) if json_path else None
     tables = tables_of_json(content, str(json_path)) if content else tables_of_label(label_path, root)
     for table in _TABLES:
-        if table not in tables:
-            raise InputError(str(path), f"no table {table}", "the tables of spiceinit", _NO_TABLES)
+        require(table in tables, str(path), f"no table {table}", "the tables of spiceinit", _NO_TABLES)
     mapped = ("the camera's image that its map was made of",) if is_map_projected(root) else ()
     with errors_from(str(path)):
         keywords = _keywords(content, str(json_path or label_path), label)

@@ -345,8 +345,7 @@ def fixed_rotation(from_frame: int, to_frame: int, time: float = 0.0) -> Array:
     with spice_words(f"frames {from_frame} and {to_frame}", "load the instrument or frames kernel"):
         names = [spiceypy.frmnam(frame) for frame in (from_frame, to_frame)]
         for frame, name in zip((from_frame, to_frame), names, strict=True):
-            if not name:
-                raise InputError("kernels", f"no frame {frame}", remedy="load the instrument or frames kernel")
+            require(name, "kernels", f"no frame {frame}", remedy="load the instrument or frames kernel")
         return np.asarray(spiceypy.pxform(names[0], names[1], time), dtype=np.float64)
 
 

@@ -353,8 +353,7 @@ def require_distinct(images: Collection[str]) -> None:
     stems = dict[str, str]()
     for image in images:
         name = stem(image)
-        if not name or "\0" in name:
-            raise InputError(f"image {image!r}", "a name that no file can have", remedy=RENAME)
+        require(name and "\0" not in name, f"image {image!r}", "a name that no file can have", remedy=RENAME)
         if stems.setdefault(name, image) != image:
             found = f"the same name as {stems[name]} without folder and ending ({name})"
             raise InputError(f"image {image}", found, "a name of its own in match files", RENAME)

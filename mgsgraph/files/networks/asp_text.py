@@ -361,10 +361,8 @@ def read_offsets(path: Path) -> dict[str, tuple[float, float]]:
     """Read the optical centres; InputError with the line for what is malformed or stands twice."""
     centres: dict[str, tuple[float, float]] = {}
     for where, fields in filled_lines(path):
-        if len(fields) != 3:
-            raise InputError(where, f"{len(fields)} fields", "image, column, row")
-        if fields[0] in centres:
-            raise InputError(where, f"image {fields[0]} twice", "each image once")
+        require(len(fields) == 3, where, f"{len(fields)} fields", "image, column, row")
+        require(fields[0] not in centres, where, f"image {fields[0]} twice", "each image once")
         centres[fields[0]] = number_of(fields[2], where), number_of(fields[1], where)
     return centres
 
@@ -411,8 +409,7 @@ def read_nvm(path: Path, centres: Centres | None = None, shifted: bool = True) -
     centres = _centres(path, cameras, centres) if shifted else dict.fromkeys(cameras, (0.0, 0.0))
     points = tuple(_nvm_point(*following(f"point {k}"), k, cameras, centres) for k in counted("points"))
     for where, fields in lines:  # VisualSFM ends the list of models with 0, the pipeline with the file
-        if fields != ["0"]:
-            raise InputError(where, "more after the last point", "one model")
+        require(fields == ["0"], where, "more after the last point", "one model")
         break
     return with_names(ControlNetwork("", "", points, source=str(path)))
 
@@ -480,10 +477,8 @@ def nvm_files(network: ControlNetwork, path: Path, centres: Centres) -> dict[Pat
     where = network.source or "network"
     require(measures.points, where, "no point that two images see", "at least one")
     for name in measures.images:
-        if name not in centres:
-            raise InputError(where, f"no size of image {name}", "the size of each image", _REMEDY)
-        if len(name.split()) != 1:
-            raise InputError(f"image {name!r}", "a name with blanks", "a name without", RENAME)
+        require(name in centres, where, f"no size of image {name}", "the size of each image", _REMEDY)
+        require(len(name.split()) == 1, f"image {name!r}", "a name with blanks", "a name without", RENAME)
     cameras = [f"{name} {_CAMERA}" for name in measures.images]
     points = _point_lines(measures, centres)
     text = "\n".join([_FIRST, str(len(cameras)), *cameras, str(len(points)), *points, ""])
