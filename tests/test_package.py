@@ -163,7 +163,7 @@ DOOR = {
     "mgsgraph.project.project": {"json.loads"},
     "mgsgraph.project.settings": {"json.loads"},
     # our own files, not a user's
-    "mgsgraph": {"read_text"},
+    "mgsgraph": {"read_text"}, "mgsgraph.files.geometric_keys": {"read_text", "tomllib.loads"},
     "mgsgraph.adjustment.graph.rows": {"read_text"},  # the system's: how much memory a container may take
     "mgsgraph.adjustment.cluster.workers": {"open", "read_bytes"}, "mgsgraph.adjustment.cluster.own": {"open"},
     "mgsgraph.compiled": {"open", "read_bytes"}, "mgsgraph.results.section": {"read_text", "tomllib.loads"},
