@@ -18,13 +18,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 from mgsgraph.errors import InputError, require
-from mgsgraph.fetch.camera_search import CameraSearch
+from mgsgraph.fetch.camera_search import CameraSearch, stated_interval
 from mgsgraph.fetch.download import NotInArchive, Remote
 from mgsgraph.fetch.kernel_phases import Interval, find_kernels
 from mgsgraph.fetch.needs import Archives, CameraProduct, ImageNeeds, Product, ProductId, WantedFile, kernel_path
 from mgsgraph.fetch.store import DownloadFolder
 from mgsgraph.files.altimetry.binary import FRAME, HEADER_RECORDS
-from mgsgraph.files.opening import read_bytes, read_text
+from mgsgraph.files.opening import read_bytes
 from mgsgraph.files.pvl import Block, Document, flat_label, whole_label
 from mgsgraph.text import some
 
@@ -297,9 +297,4 @@ class Search:
         return label
 
     def _cover(self, label: str) -> Interval | None:
-        """What a kernel's label says that it covers; None without a label, or in one without times."""
-        try:
-            path = self._store.get(WantedFile(self._archives.kernels + label, kernel_path(label)))
-        except NotInArchive:
-            return None
-        return Interval.stated_by(flat_label(read_text(path, encoding="latin-1"), str(path)))
+        return stated_interval(self._store, WantedFile(self._archives.kernels + label, kernel_path(label)))
