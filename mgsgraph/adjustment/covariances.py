@@ -360,7 +360,6 @@ class Linearised:
         network, m = self.network, places.shape[0]
         kinds, ids = np.full(m, PointKind.FIXED if held else PointKind.FREE), Names.of(f"place {k}" for k in range(m))
         points = GroundPoints(ids, np.full(m, PointClass.TIE), kinds, places, np.zeros((m, 3, 3)))
-        none, empty = np.zeros(0, dtype=np.int64), np.zeros(0)
         shifts, surface = network.shifts, network.surface
         none_of = (np.full(size, -1) for size in (network.rays.point.size, len(network.points)))
         of_rays, of_heights = network.common_of(*none_of)
@@ -368,7 +367,7 @@ class Linearised:
             network,
             points=points,
             rays=rays,
-            ranges=Ranges(none, none, empty, empty, empty),
+            ranges=Ranges.none(),
             shifts=None if shifts is None else ProfileShifts(shifts.names, np.full(m, -1), shifts.sigmas),
             surface=None if surface is None else replace(surface, sigmas=np.full(m, np.inf)),
             stereo=None,

@@ -19,7 +19,7 @@ from mgsgraph.adjustment.frames import FLIGHT_NAMES, axes_of_flight
 from mgsgraph.analysis.residual_rows import ResidualRows
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north_up
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, place_of
 from mgsgraph.kernel.rows import FIXED, GROUND, IMAGE, OUT, RANGE, SURFACE
 from mgsgraph.network import Network, PointClass, SharedKind
 from mgsgraph.network.shared import image_effect
@@ -231,8 +231,7 @@ class Motions:
         }
         singles = range(len(at.network.images)) if len(at.network.images) <= _MOST_IMAGES else range(0)
         self._control |= {(IMAGE, j): np.zeros((index.size, 3)) for j in (-1, *singles)}
-        ray_of = np.full(at.rows.weight.shape[1], -1)
-        ray_of[at.layout.observation_rows.rays] = np.arange(at.network.rays.point.size)
+        ray_of = place_of(at.layout.observation_rows.rays, at.rows.weight.shape[1])
         covariances = np.zeros((index.size, 3, 3))
         for k, place in enumerate(index.tolist()):
             piece = int(at.layout.patterns.piece_of(np.array([place]))[0])

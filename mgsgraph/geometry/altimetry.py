@@ -510,5 +510,4 @@ def _with_gaps(value: Array, where: str, shape: tuple[int, ...]) -> Array:
     array = of_kind(value, np.float64)
     require(array.shape == shape, where, f"an array of shape {array.shape}", f"shape {shape}")
     require(not np.any(np.isinf(array)), where, "an infinite value", "finite numbers, or NaN where unknown")
-    array.flags.writeable = False
-    return array
+    return read_only(array)

@@ -25,7 +25,7 @@ import numpy as np
 from mgsgraph.errors import InputError, require
 from mgsgraph.factors.pose import opk_paper, opk_peer
 from mgsgraph.geometry import rotation
-from mgsgraph.geometry.records import Array, Index, assign, frozen
+from mgsgraph.geometry.records import Array, Index, assign, frozen, read_only
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.record import Record
 
@@ -254,8 +254,7 @@ class OrientationPrior(Record):
             raise InputError("orientation prior", f"shape {sigmas.shape}", "(degree + 1, 6)")
         if np.any(np.isnan(sigmas)) or np.any(sigmas <= 0.0):
             raise InputError("orientation prior", f"sigma {sigmas[~(sigmas > 0.0)][0]}", "positive sigmas")
-        sigmas.flags.writeable = False
-        assign(self, sigmas=sigmas)
+        assign(self, sigmas=read_only(sigmas))
 
     @property
     def degree(self) -> int:

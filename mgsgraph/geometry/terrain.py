@@ -19,7 +19,7 @@ from mgsgraph.errors import InputError, require
 from mgsgraph.factors.surface import bilinear, cubic, height_above, post_coordinates
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import from_planetocentric, in_turn, planetocentric
-from mgsgraph.geometry.records import Array, Index, Mask, assign
+from mgsgraph.geometry.records import Array, Index, Mask, assign, read_only
 from mgsgraph.record import Record
 
 
@@ -245,8 +245,7 @@ class TerrainGrid(Record):
                     raise InputError(f"{where}, gaps between tracks", found, expected)
                 gap.flags.writeable = False
             assign(self, gaps=gaps)
-        radii.flags.writeable = False
-        assign(self, radii=radii)
+        assign(self, radii=read_only(radii))
 
     def _cell(self, longitudes: Array, latitudes: Array) -> tuple[Index, Index, Index, Array, Array, Mask]:
         """Row and columns (left, right) of the cells of places (n,), fractions southward and eastward, and which of the

@@ -93,17 +93,14 @@ class AttitudeTable(Record):
         if large or np.abs(constant @ constant.T - np.eye(3)).max() > 1e-6 or np.linalg.det(constant) < 0.0:
             raise InputError("attitude table, constant rotation", "a matrix that is no rotation", "orthonormal rows")
         unit = quaternions / norm[:, None]
-        unit.flags.writeable = False
-        assign(self, times=times, quaternions=unit, constant=read_only(np.ascontiguousarray(constant)))
+        assign(self, times=times, quaternions=read_only(unit), constant=read_only(np.ascontiguousarray(constant)))
 
     @cached_property
     def turns(self) -> Array:
         """(n - 1, 3) rad, how the sampled frame turns from each sample to the next, in its own axes."""
         matrices = rotation.to_matrix(self.quaternions)
         # C(t) = Exp(-turn s) C0: the frame turns by +turn, components turn back
-        turns = -rotation.logarithm(matrices[1:] @ np.swapaxes(matrices[:-1], 1, 2))
-        turns.flags.writeable = False
-        return turns
+        return read_only(-rotation.logarithm(matrices[1:] @ np.swapaxes(matrices[:-1], 1, 2)))
 
     def at(self, times: Array) -> tuple[Array, Array]:
         """Matrix (n, 3, 3) inertial to wanted frame, and its angular velocity (n, 3) in rad/s in the wanted frame."""

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from mgsgraph.compiled import compiled
 from mgsgraph.errors import InputError, require
+from mgsgraph.geometry.records import read_only
 
 GOOD, EXTREME, MISSING = 0, 1, 2
 """Marks of a pixel: a measured grey value; one at an end of the scale; none (NaN)."""
@@ -83,9 +84,7 @@ def _filtered(pixels: NDArray[Any]) -> NDArray[np.float32]:
     from scipy.ndimage import spline_filter  # heavy
 
     inner = spline_filter(pixels, order=3, output=np.float32, mode="mirror")
-    padded = np.pad(inner, (MARGIN, MARGIN), mode="reflect")
-    padded.flags.writeable = False
-    return padded
+    return read_only(np.pad(inner, (MARGIN, MARGIN), mode="reflect"))
 
 
 # --- equations

@@ -92,10 +92,8 @@ def _of_ties(images: Mapping[str, KnownImage], ties: TiePoints, sigma: float) ->
     sigmas = np.where(np.isnan(ties.measure_sigmas), sigma, ties.measure_sigmas)
     classes = np.full(len(ties.ids), int(PointClass.TIE))
     points = GroundPoints(ties.ids, classes, ties.kinds, ties.places, ties.covariances)
-    nothing = np.zeros(0)
-    ranges = Ranges(nothing.astype(int), nothing.astype(int), nothing, nothing, nothing)
     rays = ImageRays(ties.measure_point, image, ties.measures, sigmas)
-    return _network([images[name] for name in names], points, rays, ranges, ties.source)
+    return _network([images[name] for name in names], points, rays, Ranges.none(), ties.source)
 
 
 def _of_shots(images: Mapping[str, KnownImage], profile: LaserProfile, sigma: float) -> Network:

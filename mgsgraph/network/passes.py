@@ -26,7 +26,7 @@ import numpy as np
 
 from mgsgraph.errors import InputError, require
 from mgsgraph.geometry.orientation import SUPPORT, OrientationImages
-from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen, frozen_index
+from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen, frozen_index, read_only
 from mgsgraph.network.conditioning import Conditionals, Process, conditionals, variances
 from mgsgraph.record import Record
 
@@ -174,8 +174,7 @@ class PolynomialPrior(BiasAndDrift):
                 raise InputError(where, f"shape {given.shape}", "(degree + 1, 3), of a degree of 0 to 3")
             if np.any(np.isnan(given)) or given.min() < 0.0:
                 raise InputError(where, f"{given.tolist()}", "sigmas, not negative")
-            given.flags.writeable = False
-            assign(self, **{name: given})
+            assign(self, **{name: read_only(given)})
 
     @property
     def polynomial(self) -> bool:

@@ -163,6 +163,11 @@ class Ranges(Record):
     """(r, 3) m per m, how much of the error of its point's a-priori position each has, too
     (`LaserProfile.shares`); `sigmas` are then of the rest."""
 
+    @staticmethod
+    def none() -> "Ranges":
+        """No range."""
+        return Ranges(*np.zeros((2, 0), dtype=np.int64), *np.zeros((3, 0)))
+
     def chosen(self, rows: Index | Mask) -> "Ranges":
         """Some of them."""
         return Ranges(

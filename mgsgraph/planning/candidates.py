@@ -280,8 +280,7 @@ def _network(
     images = [view.known for name, view in coverage.views.items() if name in used]
     images += [new_image] if new_image is not None and new_image.image.name in used else []
     number = {image.image.name: j for j, image in enumerate(images)}
-    nothing = np.zeros(0, dtype=np.int64)
-    shots = Ranges(nothing, nothing, np.zeros(0), np.zeros(0), np.zeros(0))
+    shots = Ranges.none()
     if ranges is not None:
         shots = Ranges(ranges[0], np.full(ranges[0].size, number[ranges[1]]), *ranges[2:])
     image = np.array([number[name] for name in names], dtype=np.int64)

@@ -39,7 +39,7 @@ from mgsgraph.files.networks.asp_text import (
 from mgsgraph.files.networks.record import ControlNetwork, MeasureType, PointType, with_names
 from mgsgraph.files.networks.tie_points import PointArrays
 from mgsgraph.files.opening import number_of, read_bytes
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, place_of
 from mgsgraph.names import Names, RepeatedNames
 from mgsgraph.text import root_mean_square, some
 
@@ -251,9 +251,7 @@ def _distinct(image: Index, places: Array) -> tuple[Index, Index]:
     keys = np.column_stack([image.astype(np.float64), places]) + 0.0  # -0.0 is 0.0
     _, first, which = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     order = np.argsort(first, kind="stable")
-    rank = np.empty_like(order)
-    rank[order] = np.arange(len(order))
-    return first[order], rank[which.reshape(-1)]
+    return first[order], place_of(order, order.size)[which.reshape(-1)]
 
 
 def _network(
