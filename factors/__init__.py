@@ -26,27 +26,30 @@ over all points of a network is `mgsgraph.kernel`.
 """
 
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-_HOME = {
-    "boresight": "effects",
-    "constant": "effects",
-    "Effect": "effects",
-    "focal_length": "effects",
-    "ground_prior": "ground",
-    "laser_range": "ranging",
-    "linear_prior": "priors",
-    "orientation_polynomial": "effects",
-    "orientation_prior": "priors",
-    "OrientationImagesEffect": "effects",
-    "PolynomialEffect": "effects",
-    "profile_shift": "effects",
-    "pushbroom_projection": "projection",
-    "range_bias": "effects",
-    "stereo_height": "stereo_surface",
-    "terrain_height": "surface",
-    "time_bias": "effects",
-}
+from mgsgraph import modules_of_names
+
+if TYPE_CHECKING:
+    from mgsgraph.factors.effects import Effect as Effect
+    from mgsgraph.factors.effects import OrientationImagesEffect as OrientationImagesEffect
+    from mgsgraph.factors.effects import PolynomialEffect as PolynomialEffect
+    from mgsgraph.factors.effects import boresight as boresight
+    from mgsgraph.factors.effects import constant as constant
+    from mgsgraph.factors.effects import focal_length as focal_length
+    from mgsgraph.factors.effects import orientation_polynomial as orientation_polynomial
+    from mgsgraph.factors.effects import profile_shift as profile_shift
+    from mgsgraph.factors.effects import range_bias as range_bias
+    from mgsgraph.factors.effects import time_bias as time_bias
+    from mgsgraph.factors.ground import ground_prior as ground_prior
+    from mgsgraph.factors.priors import linear_prior as linear_prior
+    from mgsgraph.factors.priors import orientation_prior as orientation_prior
+    from mgsgraph.factors.projection import pushbroom_projection as pushbroom_projection
+    from mgsgraph.factors.ranging import laser_range as laser_range
+    from mgsgraph.factors.stereo_surface import stereo_height as stereo_height
+    from mgsgraph.factors.surface import terrain_height as terrain_height
+
+_HOME = modules_of_names(__file__)
 __all__ = sorted(_HOME)
 
 
@@ -54,7 +57,7 @@ def __getattr__(name: str) -> Any:
     """Import a public name on first use: the equations serve those who need no GTSAM, too."""
     if name not in _HOME:
         raise AttributeError(f"module 'mgsgraph.factors' has no attribute {name!r}; it has {', '.join(__all__)}")
-    return getattr(import_module(f"mgsgraph.factors.{_HOME[name]}"), name)
+    return getattr(import_module(_HOME[name]), name)
 
 
 def __dir__() -> list[str]:

@@ -72,8 +72,8 @@ class PolynomialEffect(NamedTuple):
         for k in range(1, terms):
             slopes.append(k * rate * values[-1])
             values.append(u * values[-1])
-        value, slope = np.array([values, slopes]) @ self.coefficients.reshape(terms, -1)
-        return value.reshape(rows, columns), slope.reshape(rows, columns)
+        value, slope = (np.array([values, slopes]) @ self.coefficients.reshape(terms, -1)).reshape(2, rows, columns)
+        return value, slope
 
 
 def orientation_polynomial(key: int, degree: int, lines: float) -> PolynomialEffect:
@@ -90,7 +90,7 @@ def orientation_polynomial(key: int, degree: int, lines: float) -> PolynomialEff
         raise InputError("orientation polynomial", f"degree {degree}", "0, 1, 2, ...")
     terms = degree + 1
     coefficients = np.zeros((terms, STATE, 6 * terms))
-    coefficients[:, :6] = np.eye(6 * terms).reshape(terms, 6, 6 * terms)
+    coefficients[:, :6] = np.eye(6 * terms).reshape(terms, 6, -1)
     return PolynomialEffect((int(key),), coefficients, lines)
 
 

@@ -122,7 +122,9 @@ pixels begin at the image's edge: the first one's centre is (0.5, 0.5). Residual
 are for sigma0 = 1, as the a-priori sigmas imply. All of it with examples: docs/api.md; the commands: `mgsgraph --help`.
 """
 
+import re
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -204,84 +206,14 @@ if TYPE_CHECKING:
     from mgsgraph.results.results import write_results as write_results
     from mgsgraph.results.terrain_model import make_dem as make_dem
 
-_HOME = {
-    "adjust": "mgsgraph.case.reading",
-    "adjust_network": "mgsgraph.adjustment.adjust",
-    "apply_verdicts": "mgsgraph.export.verdicts",
-    "Archives": "mgsgraph.fetch.needs",
-    "build_network": "mgsgraph.network.observations",
-    "Case": "mgsgraph.case.reading",
-    "compare": "mgsgraph.results.comparison",
-    "components": "mgsgraph.analysis.components",
-    "convert": "mgsgraph.export.exchange",
-    "create_project": "mgsgraph.project.changes",
-    "DemSettings": "mgsgraph.registration.dem.model",
-    "draw_figures": "mgsgraph.results.figures",
-    "ExchangeSetting": "mgsgraph.export.exchange_setting",
-    "export_solution": "mgsgraph.export.solution_export",
-    "ExportSettings": "mgsgraph.export.solution_export",
-    "factor_graph": "mgsgraph.adjustment.factor_graph",
-    "fetch_images": "mgsgraph.fetch.folder",
-    "footprints_in_images": "mgsgraph.network.footprints",
-    "ImageCoverage": "mgsgraph.planning.coverage",
-    "Impact": "mgsgraph.adjustment.incremental.impact",
-    "IncrementalAdjustment": "mgsgraph.adjustment.incremental.incremental",
-    "InputError": "mgsgraph.errors",
-    "InteriorOrientation": "mgsgraph.geometry.camera",
-    "iterated_components": "mgsgraph.analysis.components",
-    "KnownImage": "mgsgraph.network.parts",
-    "LaserProfile": "mgsgraph.geometry.altimetry",
-    "LineTiming": "mgsgraph.geometry.image",
-    "make_dem": "mgsgraph.results.terrain_model",
-    "Marginals": "mgsgraph.adjustment.optimize",
-    "match_into": "mgsgraph.results.matching",
-    "MatchSettings": "mgsgraph.matching.settings",
-    "MeasureKind": "mgsgraph.analysis.measures",
-    "MgsgraphError": "mgsgraph.errors",
-    "NaifIds": "mgsgraph.export.spice",
-    "Network": "mgsgraph.network",
-    "open_cluster": "mgsgraph.adjustment.cluster.connection",
-    "open_project": "mgsgraph.project.project",
-    "optimize": "mgsgraph.adjustment.optimize",
-    "orientation_profile": "mgsgraph.adjustment.solution",
-    "OrientationPrior": "mgsgraph.geometry.orientation",
-    "pass_reports": "mgsgraph.analysis.statistics",
-    "Pixel": "mgsgraph.analysis.posterior",
-    "plan": "mgsgraph.planning.plan",
-    "planned_point": "mgsgraph.planning.candidates",
-    "points_in_images": "mgsgraph.network.footprints",
-    "Posterior": "mgsgraph.analysis.posterior",
-    "PushbroomImage": "mgsgraph.geometry.image",
-    "read_altimetry_cloud": "mgsgraph.files.altimetry.shots",
-    "read_case": "mgsgraph.case.reading",
-    "read_scene": "mgsgraph.case.scene",
-    "read_shots": "mgsgraph.files.altimetry.shots",
-    "read_solution": "mgsgraph.results.archive",
-    "read_verdicts": "mgsgraph.export.verdicts",
-    "register_by_relief": "mgsgraph.registration.relief",
-    "reliability": "mgsgraph.analysis.reliability",
-    "ReliefSettings": "mgsgraph.registration.minima",
-    "remove_images": "mgsgraph.project.changes",
-    "select_points": "mgsgraph.network.parts",
-    "sigma_grid": "mgsgraph.analysis.places",
-    "Solution": "mgsgraph.adjustment.solution",
-    "solution_of": "mgsgraph.adjustment.optimized",
-    "solve_project": "mgsgraph.project.changes",
-    "SolverSettings": "mgsgraph.adjustment.settings",
-    "SpiceNaming": "mgsgraph.export.spice",
-    "TiePoints": "mgsgraph.files.networks.tie_points",
-    "to_geopandas": "mgsgraph.export.frames",
-    "to_pandas": "mgsgraph.export.frames",
-    "to_xarray": "mgsgraph.export.frames",
-    "unexplained": "mgsgraph.analysis.unexplained",
-    "verdict": "mgsgraph.analysis.verdict",
-    "weak_directions": "mgsgraph.analysis.weak",
-    "with_factors": "mgsgraph.adjustment.factor_graph",
-    "write_coregistration": "mgsgraph.results.relief",
-    "write_report": "mgsgraph.results.page",
-    "write_results": "mgsgraph.results.results",
-    "write_spice": "mgsgraph.export.spice",
-}
+
+def modules_of_names(file: str) -> dict[str, str]:
+    """Which module each name comes from that a package's file imports for type checkers alone, as this one does."""
+    text = Path(file).read_text(encoding="utf-8")
+    return {name: module for module, name in re.findall(r"^    from (\S+) import (\w+) as ", text, re.MULTILINE)}
+
+
+_HOME = modules_of_names(__file__)
 __all__ = sorted(_HOME)
 
 

@@ -20,7 +20,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 
 _MOST_COMPARED = 20_000
 """Names among which those nearest to a misspelt one are sought."""
@@ -224,8 +224,7 @@ class RepeatedNames(_Column):
     def __post_init__(self) -> None:
         if self.numbers.size and not 0 <= self.numbers.min() <= self.numbers.max() < len(self.distinct):
             raise InputError("names", f"numbers up to {self.numbers.max()}", f"0 .. {len(self.distinct) - 1}")
-        if len(set(self.distinct)) < len(self.distinct):
-            raise InputError("names", "a distinct name twice", "each once")
+        require(len(set(self.distinct)) >= len(self.distinct), "names", "a distinct name twice", "each once")
         self.numbers.flags.writeable = False
 
     @classmethod
@@ -327,8 +326,7 @@ def number_of(asked: "str | int | np.integer[Any]", numbers: Mapping[str, int], 
         if 0 <= index(asked) < len(numbers):
             return index(asked)
         expected = f"a number from 0 to {len(numbers) - 1}, or a name"
-    if not numbers:
-        raise InputError(f"{what} {asked}", f"there is no {what}")
+    require(numbers, f"{what} {asked}", f"there is no {what}")
     names = near[:_MOST_NAMED] or list(itertools.islice(numbers, 3))
     raise InputError(f"{what} {asked}", found, f"{expected}, e.g. {', '.join(names)}")
 

@@ -79,7 +79,7 @@ For users who ask which keys of their files determine the geometry. The tables l
 *read*, *compared* with a second statement of the same fact, or *refused* if it differs from the last column (convert
 the file first). `mgsgraph check` names a key that looks geometric and is not listed. A key without a second statement
 stays unchecked: `mgsgraph check CASE --details` prints the values of those that determine the geometry. This page is
-made from `mgsgraph/files/geometric_keys.py`, which the readers use. Names are regular expressions.
+made from `mgsgraph/files/geometric_keys.toml`, which the readers use. Names are regular expressions.
 """
 _KEYS = "<!-- keys: written by scripts/pages.py -->\n"
 _LIES = "\n## Lies"

@@ -160,15 +160,15 @@ DOOR = {
     "mgsgraph.files.rasters.pictures": {"np.fromfile"},  # the same
     "mgsgraph.results.archive": {"zipfile.ZipFile"},
     "mgsgraph.project.store": {"json.loads"},  # cells of rows whose checksum is right
-    "mgsgraph.project.project": {"json.loads"},
-    "mgsgraph.project.settings": {"json.loads"},
+    "mgsgraph.project.project": {"json.loads"}, "mgsgraph.project.settings": {"json.loads"},
     # our own files, not a user's
+    "mgsgraph": {"read_text"}, "mgsgraph.project.schema": {"read_text"},
+    "mgsgraph.files.geometric_keys": {"read_text", "tomllib.loads"},
     "mgsgraph.adjustment.graph.rows": {"read_text"},  # the system's: how much memory a container may take
     "mgsgraph.adjustment.cluster.workers": {"open", "read_bytes"}, "mgsgraph.adjustment.cluster.own": {"open"},
     "mgsgraph.compiled": {"open", "read_bytes"}, "mgsgraph.results.section": {"read_text", "tomllib.loads"},
     "mgsgraph.files.writing": {"open"}, "mgsgraph.fetch.download": {"open"},
-    "mgsgraph.project.campaign": {"open"},
-    "mgsgraph.atomic_write": {"open"}, "mgsgraph.workers": {"open"},
+    "mgsgraph.project.campaign": {"open"}, "mgsgraph.atomic_write": {"open"}, "mgsgraph.workers": {"open"},
 }  # fmt: skip
 """Where files from outside are opened and parsed: all else takes them from these (docs/evidence_robustness.md)."""
 METHODS = {"open", "read_bytes", "read_text"}

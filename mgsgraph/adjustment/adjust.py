@@ -46,7 +46,7 @@ from mgsgraph.adjustment.rounds import (
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.adjustment.sparse_cholesky import NotDefinite
-from mgsgraph.errors import InputError, SolverError
+from mgsgraph.errors import InputError, SolverError, require
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.kernel.rows import FIXED, NO_LOSS, PRIOR
@@ -87,12 +87,10 @@ def nominal_reduction(
     selection = wanted.without_stereo()
     before = BundleGraph(layout, selection.rows(layout), sweeper).reduction(nominal)
     strong = without_weak(layout, before, selection)
-    if np.all(strong.out):
-        raise InputError(
-            "network",
-            f"none of {len(layout.network.points)} points is determined by its rays",
-            "points seen from two sides, or with an a-priori place",
-        )
+    require(
+        not np.all(strong.out), "network", f"none of {len(layout.network.points)} points is determined by its rays",
+        "points seen from two sides, or with an a-priori place",
+    )  # fmt: skip
     if not np.array_equal(strong.out, selection.out):
         selection, before = strong, BundleGraph(layout, strong.rows(layout), sweeper).reduction(nominal)
     require_strength(layout, before)

@@ -87,7 +87,7 @@ def considered_information(layout: Layout, joint: JointCovariance) -> Iterator[t
     columns of the same variables (heights of a terrain model whose shift is considered), everything else is eliminated.
     """
     variables, members = layout.variables, list(layout.prior.considered)
-    columns = np.concatenate([np.arange(*variables.columns_of(v).indices(layout.columns)) for v in members])
+    columns = variables.columns_of_all(members)
     c, scales = np.flatnonzero(variables.considered[columns]), variables.prior_sigmas[columns]
     x = np.flatnonzero(~variables.considered[columns])
     scales = np.where(np.isfinite(scales), scales, layout.scales[columns])
@@ -139,7 +139,7 @@ def _pass_by_pass(layout: Layout) -> SquareRoot:
     variables, rows_of_priors, scales = layout.variables, layout.prior.design.tocsc(), layout.scales
     cliques, rows = _joined_by_priors(layout), list[Array]()
     for members in cliques:
-        columns = np.concatenate([np.arange(variables.first[v], variables.columns_of(v).stop) for v in members])
+        columns = variables.columns_of_all(members)
         part = rows_of_priors[:, columns]
         of_pass = part[np.unique(part.nonzero()[0])].toarray() * scales[columns]
         rows.append(np.linalg.qr(of_pass, mode="r") / scales[columns])
@@ -297,11 +297,7 @@ class Linearised:
     @property
     def values(self) -> list[Array]:
         """Value (width,) of each variable, m, rad and s; zero for held images."""
-        variables = self.layout.variables
-        return [
-            self.orientation[variables.columns_of(v)] if first >= 0 else np.zeros(variables.width[v])
-            for v, first in enumerate(variables.first.tolist())
-        ]
+        return self.layout.variables.split(self.orientation)
 
     @property
     def places(self) -> Array:
@@ -364,7 +360,6 @@ class Linearised:
         network, m = self.network, places.shape[0]
         kinds, ids = np.full(m, PointKind.FIXED if held else PointKind.FREE), Names.of(f"place {k}" for k in range(m))
         points = GroundPoints(ids, np.full(m, PointClass.TIE), kinds, places, np.zeros((m, 3, 3)))
-        none, empty = np.zeros(0, dtype=np.int64), np.zeros(0)
         shifts, surface = network.shifts, network.surface
         none_of = (np.full(size, -1) for size in (network.rays.point.size, len(network.points)))
         of_rays, of_heights = network.common_of(*none_of)
@@ -372,7 +367,7 @@ class Linearised:
             network,
             points=points,
             rays=rays,
-            ranges=Ranges(none, none, empty, empty, empty),
+            ranges=Ranges.none(),
             shifts=None if shifts is None else ProfileShifts(shifts.names, np.full(m, -1), shifts.sigmas),
             surface=None if surface is None else replace(surface, sigmas=np.full(m, np.inf)),
             stereo=None,

@@ -290,7 +290,7 @@ def _mixture(weighted: Sequence[tuple[_End, float]]) -> JointCovariance:
     parts = (weight * (end.covariance + np.outer(d, d)) for (end, weight), d in zip(weighted, offsets, strict=True))
     variables, scales = best.layout.variables, best.layout.scales
     members = variables.adjusted()
-    columns = np.concatenate([np.arange(*variables.columns_of(v).indices(scales.size)) for v in members])
+    columns = variables.columns_of_all(members)
     covariance = np.asarray(sum(parts))[np.ix_(columns, columns)] / scales[columns] / scales[columns][:, None]
     root = np.linalg.cholesky(np.linalg.inv(covariance)).T / scales[columns]
     return joint_covariance(in_cliques(variables.first, variables.width, [members], [root]))

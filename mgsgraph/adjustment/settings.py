@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.factors.loss import HUBER_WIDTH
 from mgsgraph.geometry.orientation import Angles as Angles
 from mgsgraph.record import Record
@@ -102,10 +102,8 @@ class SolverSettings(Record):
             raise InputError("solver, loss_width", f"{self.loss_width}", "a positive number of sigmas")
         if not (math.isfinite(self.reject) and (self.reject == 0.0 or self.reject >= 2.0)):
             raise InputError("solver, reject", f"{self.reject}", "0 (off) or at least 2 standard deviations")
-        if self.starts is not None and self.starts < 0:
-            raise InputError("solver, starts", f"{self.starts}", "0 (none) or more")
-        if self.max_iterations < 1:
-            raise InputError("solver, max_iterations", f"{self.max_iterations}", "at least 1")
+        require(self.starts is None or self.starts >= 0, "solver, starts", f"{self.starts}", "0 (none) or more")
+        require(self.max_iterations >= 1, "solver, max_iterations", f"{self.max_iterations}", "at least 1")
         if self.memory_gb is not None and not (math.isfinite(self.memory_gb) and self.memory_gb > 0.0):
             raise InputError("solver, memory_gb", f"{self.memory_gb}", "a positive number of gigabytes")
         for name in ("cost_tolerance", "step_tolerance"):

@@ -15,7 +15,7 @@ from scipy.linalg import blas, lapack
 
 from mgsgraph.adjustment.marginals import SquareRoot, begins, many_threads, one_thread
 from mgsgraph.compiled import cached_kernel
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, place_of
 
 if TYPE_CHECKING:
     import gtsam
@@ -212,8 +212,7 @@ def _best_cliques(pairs: Index, width: Index) -> _Cliques:
 
 def _make_fronts(first: Index, width: Index, pairs: Index, offset: Index, best: _Cliques) -> list[_Front]:
     order, cliques, parent, _ = best
-    turn = np.full(first.size, -1)
-    turn[order] = np.arange(order.size)
+    turn = place_of(order, first.size)
     home = np.full(first.size, -1)
     for k, (frontal, _) in enumerate(cliques):
         home[frontal] = k

@@ -117,11 +117,6 @@ class Component(Record):
         low, high = 2.0 * gammaincinv(0.5 * self.degrees, sides)
         return self.factor * math.sqrt(self.degrees / high), self.factor * math.sqrt(self.degrees / low)
 
-    def deviation(self, truth: float) -> float:
-        """How far from a true factor it is, as a standard normal deviate (Wilson & Hilferty 1931)."""
-        spread = 2.0 / (9.0 * self.degrees)
-        return (math.pow(self.factor / truth, 2.0 / 3.0) - 1.0 + spread) / math.sqrt(spread)
-
     @property
     def consistent(self) -> bool | None:
         """Whether the sigmas may be right; None where it can't be judged."""

@@ -12,7 +12,7 @@ import numpy as np
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.body import Ellipsoid, distances, nearness
 from mgsgraph.geometry.intersection import intersect_rays
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, place_of
 from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.network import Network
 
@@ -108,8 +108,7 @@ def _candidates(flat: Array, heights: Array) -> Index:
 
 def convergence(network: Network, points: Index) -> Array:
     """(k,) rad, angles between the outermost rays of those of some points (m,) that two nominal rays see or more."""
-    place = np.full(len(network.points), -1)
-    place[points] = np.arange(points.size)
+    place = place_of(points, len(network.points))
     chosen = np.flatnonzero(place[network.rays.point] >= 0)
     rays = network.rays.chosen(chosen)
     origins, directions = np.empty((chosen.size, 3)), np.empty((chosen.size, 3))

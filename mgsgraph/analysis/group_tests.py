@@ -14,7 +14,7 @@ import numpy as np
 
 from mgsgraph.analysis.grouping import BACK_PROJECTED, Grouping
 from mgsgraph.analysis.linearised import PriorRows
-from mgsgraph.analysis.residual_rows import ResidualRows
+from mgsgraph.analysis.residual_rows import ResidualRows, quadratic_tail
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.rows import GROUND, IMAGE, RANGE, STEREO, SURFACE
 from mgsgraph.record import Record
@@ -159,46 +159,3 @@ def _square_of_covariance(rows: ResidualRows, members: Index, redundancy: float)
     rest = brought - own @ (own.T @ brought) - spread @ (spread.T @ brought)
     trace += 2.0 * np.sum(brought * rest) + np.sum((brought.T @ brought) ** 2)
     return max(float(trace), 1e-12)
-
-
-def quadratic_tail(value: float, weights: Array) -> float:
-    """Probability that a sum of squares of independent standard normal variables with weights (n,), of either sign,
-    exceeds a value: the saddlepoint formula of Lugannani & Rice.
-    """
-    from scipy.special import chdtrc, ndtr  # slow to import
-
-    if np.ptp(weights) <= 1e-9 * np.abs(weights).max():
-        return float(chdtrc(weights.size, max(value, 0.0) / weights[0]) if weights[0] > 0.0 else 1.0)
-    mean, spread = float(weights.sum()), math.sqrt(2.0 * float(weights @ weights))
-    if abs(value - mean) < 1e-3 * spread:  # between the two sides, where the formula is 0 / 0
-        low, high = (quadratic_tail(mean + side * 2e-3 * spread, weights) for side in (-1.0, 1.0))
-        return low + (high - low) * (0.5 + (value - mean) / (4e-3 * spread))
-    t = _saddlepoint(value, weights)
-    if not math.isfinite(t):
-        return 1.0 if value < mean else 0.0
-    inner = 1.0 - 2.0 * t * weights
-    w = math.copysign(math.sqrt(max(2.0 * t * value + float(np.sum(np.log(inner))), 1e-300)), t)
-    v = t * math.sqrt(2.0 * float(np.sum((weights / inner) ** 2)))
-    return float(np.clip(ndtr(-(w + math.log(v / w) / w)), 0.0, 1.0))
-
-
-def _saddlepoint(value: float, weights: Array) -> float:
-    """Where the slope of the cumulant function is a value; NaN where no sum is so small, or so large."""
-    from scipy.optimize import brentq
-
-    def slope(t: float) -> float:
-        return float(np.sum(weights / (1.0 - 2.0 * t * weights))) - value
-
-    ends = [0.5 / edge * (1.0 - 1e-10) if edge * side > 0.0 else math.nan
-            for edge, side in ((weights.min(), -1.0), (weights.max(), 1.0))]  # fmt: skip
-    if slope(0.0) > 0.0:
-        low, high = (-1.0 / np.abs(weights).max() if math.isnan(ends[0]) else ends[0]), 0.0
-        while math.isnan(ends[0]) and slope(low) > 0.0:
-            low *= 4.0
-            if low < -1e30:
-                return math.nan
-    else:
-        low, high = 0.0, ends[1]
-    if not (math.isfinite(high) and slope(low) <= 0.0 <= slope(high)):
-        return math.nan
-    return float(brentq(slope, low, high))

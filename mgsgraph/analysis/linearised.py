@@ -116,7 +116,7 @@ def prior_rows(at: Linearised) -> PriorRows:
         covariance = flat[begin : begin + width**2].reshape(width, width)
         begin += width**2
         share.append(np.einsum("ri,ij,rj->r", rows, covariance, rows))
-        columns = np.concatenate([np.arange(*at.layout.columns_of(v).indices(prior.columns)) for v in variables])
+        columns = at.layout.variables.columns_of_all(variables)
         chief = rows[np.arange(about.size), np.argmax(columns == about[:, None], axis=1)]
         with np.errstate(divide="ignore"):  # of a polynomial's rows, see below
             sigma.append(1.0 / np.abs(chief))

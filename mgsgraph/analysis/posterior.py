@@ -32,7 +32,7 @@ from mgsgraph.analysis.estimates import (
 )
 from mgsgraph.analysis.likelihood import Likelihood
 from mgsgraph.analysis.linearised import at_solution, at_values
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import COMPONENTS, OrientationCorrection
@@ -117,8 +117,7 @@ class Posterior(Record):
     def difference(self, first: str | int, second: str | int) -> Difference:
         """From the first point to the second: vector, height difference and distance, with what they share left out."""
         first, second = self._point_name(first), self._point_name(second)
-        if first == second:
-            raise InputError(f"points {first}, {second}", "the same point twice", "two points")
+        require(first != second, f"points {first}, {second}", "the same point twice", "two points")
         points = [self.of_point(first), self.of_point(second)]
         return Difference(first, second, points[0].values, points[1].values, self.covariance(points))
 
@@ -258,8 +257,7 @@ class Posterior(Record):
         rays = ImageRays(np.zeros(images.size, dtype=np.int64), images, places, sigmas)
         layout = self.linearised.asked(np.full((1, 3), np.nan), rays, held=False)
         place, good = self._meet(layout)
-        if not good[0]:
-            raise InputError(name, "rays that don't meet before their cameras", "measures of the same place")
+        require(good[0], name, "rays that don't meet before their cameras", "measures of the same place")
         return point_rows(layout, layout.rows, self.linearised.orientation, place), place[0]
 
     def _of_crossing(self, rows: PointRows, place: Array, name: str) -> Quantity:

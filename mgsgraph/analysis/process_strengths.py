@@ -55,6 +55,7 @@ from mgsgraph.adjustment.settings import Iteration, SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.analysis.separability import LIMIT
+from mgsgraph.analysis.statistics import whitened_rows
 from mgsgraph.analysis.strengths import (
     Strength,
     of_each_pass,
@@ -266,13 +267,8 @@ class Density(NamedTuple):
 
 def _information(pass_: Pass) -> Array:
     """(q, q) P_0: information of the prior's rows on the nodes and the trend of a pass."""
-    edges = np.concatenate([[0], np.cumsum(pass_.widths)])
-    information = np.zeros((edges[-1], edges[-1]))
-    for unknowns, blocks, _ in pass_.prior.factors(pass_.nodes):
-        for v, first in zip(unknowns, blocks, strict=True):
-            for w, second in zip(unknowns, blocks, strict=True):
-                information[edges[v] : edges[v + 1], edges[w] : edges[w + 1]] += first.T @ second
-    return information
+    rows = whitened_rows(pass_, np.ones(sum(pass_.widths)))
+    return np.asarray((rows.T @ rows).toarray())
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -89,19 +89,6 @@ class Reliability(Record):
         """(s,) measures whose test exceeds the critical value, largest first."""
         return self.order(int(np.count_nonzero(np.abs(self.measures.test) > self.critical)))
 
-    @property
-    def severity(self) -> Array:
-        """(m,) root of the joint test over its critical value: above 1, the ray, range or a-priori place is suspected.
-
-        By the B-method, so that tests of one, two and three dimensions compare.
-        """
-        limits = np.array([np.inf, *(self.critical_joint(k) for k in (1, 2, 3))])
-        return np.asarray(np.sqrt(self.measures.joint / limits[self.measures.dimensions]))
-
-    def critical_joint(self, dimensions: int) -> float:
-        """Critical value of a joint test of so many dimensions."""
-        return self.critical**2 if dimensions == 1 else self.levels.critical_squares(dimensions)
-
     def order(self, most: int) -> Index:
         """The `most` measures of the largest |w|, largest first; equal ones, as of a ray, in their own order."""
         size = np.nan_to_num(np.abs(self.measures.test), nan=-1.0)

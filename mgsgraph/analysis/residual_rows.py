@@ -18,7 +18,8 @@ variables, kappa_n = 2^(n-1) (n-1)! tr (K C)^n: the correlation that least squar
 eigenvalues of K C say how probable it is.
 """
 
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -28,18 +29,12 @@ import numpy as np
 from mgsgraph.adjustment.covariances import Linearised
 from mgsgraph.adjustment.fit import residuals
 from mgsgraph.adjustment.marginals import begins
-from mgsgraph.errors import InputError
+from mgsgraph.errors import require
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.rows import GROUND, IMAGE, NO_LOSS, OUT, RANGE, STEREO, SURFACE
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from scipy.sparse import csr_array
-
 
 _EXACT = 1e-12
 """Residual in sigmas below which its robust weight is taken as one."""
@@ -193,8 +188,7 @@ def _parts(at: Linearised, points: Index) -> Iterator[_Part]:
     """Piece by piece, point by point; rows without a weight are left out."""
     index = np.sort(at.layout.patterns.point_index[points])
     index = index[at.rows.kind[index] != OUT]
-    if not index.size:
-        raise InputError("tests of the residuals", "no point that took part", "some", "adjust the case again")
+    require(index.size, "tests of the residuals", "no point that took part", "some", "adjust the case again")
     piece = at.layout.patterns.piece_of(index)
     for number in np.unique(piece).tolist():
         _, first, count, _, among = at.rows.piece[number].tolist()
@@ -203,8 +197,7 @@ def _parts(at: Linearised, points: Index) -> Iterator[_Part]:
         own, through = rows.following()
         m, r = rows.residuals.shape
         share = np.sum(own**2, axis=2) + np.einsum("mrc,cd,mrd->mr", through, at.joint.of(rows.variables), through)
-        parts = [np.arange(*at.layout.columns_of(v).indices(at.layout.columns)) for v in rows.variables]
-        columns = np.concatenate([np.zeros(0, dtype=np.int64), *parts])
+        columns = at.layout.variables.columns_of_all(rows.variables)
         taken = np.any(rows.by_point.reshape(-1, 3) != 0.0, axis=1)
         flat = through.reshape(m * r, -1)[taken]
         row, column = np.nonzero(flat)
@@ -361,24 +354,48 @@ def _judged(
     product = near @ covariance
     mean, square = float(np.trace(product)), float(np.sum(product * product.T))
     value = float(residuals @ (near @ residuals)) / factor
-    p = tail(value, np.linalg.eigvalsh(root.T @ (near @ root)))
+    p = quadratic_tail(value, np.linalg.eigvalsh(root.T @ (near @ root))) if value > mean else 0.5
     return (value - mean) / square, float(np.sqrt(2.0 / square)), (value - mean) / float(np.sqrt(2.0 * square)), p
 
 
-def tail(value: float, weights: Array) -> float:
-    """Probability that a sum of squares of independent standard normal variables, with these weights (n,) of either
-    sign, exceeds a value above its mean: the saddlepoint formula of Lugannani & Rice (Kuonen 1999, Biometrika 86, 929).
+def quadratic_tail(value: float, weights: Array) -> float:
+    """Probability that a sum of squares of independent standard normal variables with weights (n,), of either sign,
+    exceeds a value: the saddlepoint formula of Lugannani & Rice (Kuonen 1999, Biometrika 86, 929).
     """
-    from scipy.optimize import brentq  # slow to import
-    from scipy.special import ndtr
+    from scipy.special import chdtrc, ndtr  # slow to import
+
+    if np.ptp(weights) <= 1e-9 * np.abs(weights).max():
+        return float(chdtrc(weights.size, max(value, 0.0) / weights[0]) if weights[0] > 0.0 else 1.0)
+    mean, spread = float(weights.sum()), math.sqrt(2.0 * float(weights @ weights))
+    if abs(value - mean) < 1e-3 * spread:  # between the two sides, where the formula is 0 / 0
+        low, high = (quadratic_tail(mean + side * 2e-3 * spread, weights) for side in (-1.0, 1.0))
+        return low + (high - low) * (0.5 + (value - mean) / (4e-3 * spread))
+    t = _saddlepoint(value, weights)
+    if not math.isfinite(t):
+        return 1.0 if value < mean else 0.0
+    inner = 1.0 - 2.0 * t * weights
+    w = math.copysign(math.sqrt(max(2.0 * t * value + float(np.sum(np.log(inner))), 1e-300)), t)
+    v = t * math.sqrt(2.0 * float(np.sum((weights / inner) ** 2)))
+    return float(np.clip(ndtr(-(w + math.log(v / w) / w)), 0.0, 1.0))
+
+
+def _saddlepoint(value: float, weights: Array) -> float:
+    """Where the slope of the cumulant function is a value; NaN where no sum is so small, or so large."""
+    from scipy.optimize import brentq
 
     def slope(t: float) -> float:
         return float(np.sum(weights / (1.0 - 2.0 * t * weights))) - value
 
-    if slope(0.0) >= 0.0:
-        return 0.5
-    t = brentq(slope, 0.0, 0.5 / weights.max() * (1.0 - 1e-10))
-    inner = 1.0 - 2.0 * t * weights
-    w = np.sqrt(2.0 * t * value + np.sum(np.log(inner)))
-    v = t * np.sqrt(2.0 * np.sum((weights / inner) ** 2))
-    return float(ndtr(-(w + np.log(v / w) / w)))
+    ends = [0.5 / edge * (1.0 - 1e-10) if edge * side > 0.0 else math.nan
+            for edge, side in ((weights.min(), -1.0), (weights.max(), 1.0))]  # fmt: skip
+    if slope(0.0) > 0.0:
+        low, high = (-1.0 / np.abs(weights).max() if math.isnan(ends[0]) else ends[0]), 0.0
+        while math.isnan(ends[0]) and slope(low) > 0.0:
+            low *= 4.0
+            if low < -1e30:
+                return math.nan
+    else:
+        low, high = 0.0, ends[1]
+    if not (math.isfinite(high) and slope(low) <= 0.0 <= slope(high)):
+        return math.nan
+    return float(brentq(slope, low, high))

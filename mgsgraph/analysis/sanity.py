@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.statistics import counts, medians, ray_statistics, rejected_points
+from mgsgraph.analysis.statistics import medians, ray_statistics, rejected_points
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network, PointClass, SharedKind, SharedUnknown
@@ -124,7 +124,8 @@ def unexplained_residuals(network: Network, residuals: Array) -> tuple[Unexplain
         for values in (*(np.linalg.norm(each[rows], axis=1) for each in (residuals, network.ray_sigmas)), ground)
     )
     sigma = np.sqrt(total**2 + noise**2 + (control / scale[:, 0]) ** 2)
-    beyond = np.flatnonzero((counts(image, images) >= _FEWEST_MEASURES) & (size > _BEYOND * sigma))
+    several = np.bincount(image, minlength=images) >= _FEWEST_MEASURES
+    beyond = np.flatnonzero(several & (size > _BEYOND * sigma))
     images_beyond = [Unexplained(j, float(size[j]), float(sigma[j])) for j in beyond.tolist()]
     return tuple(sorted(images_beyond, key=lambda image: -image.size))
 

@@ -29,7 +29,7 @@ from mgsgraph.analysis.linearised import unknown_name
 from mgsgraph.analysis.statistics import pass_turns
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import Angles
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, place_of
 from mgsgraph.network import Network, SharedKind, SharedUnknown
 from mgsgraph.network.shared import ground_shift
 from mgsgraph.record import Record
@@ -355,8 +355,7 @@ def column_names(network: Network, root: SquareRoot) -> list[str]:
 
 def information(root: SquareRoot, columns: Index) -> Array:
     """(d, d) of the information on some columns, all others held."""
-    information, place = np.zeros((columns.size,) * 2), np.full(root.columns, -1)
-    place[columns] = np.arange(columns.size)
+    information, place = np.zeros((columns.size,) * 2), place_of(columns, root.columns)
     for clique, members in enumerate(root.columns_of):
         wanted = place[members]
         inside = wanted >= 0

@@ -25,7 +25,7 @@ from mgsgraph.adjustment.rounds import Selection, unmarked
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import at_solution
-from mgsgraph.errors import InputError, SolverError, WeakNetwork
+from mgsgraph.errors import InputError, SolverError, WeakNetwork, require
 from mgsgraph.geometry.orientation import OrientationImages, evenly_spaced
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.kernel.sweep import point_covariances
@@ -63,8 +63,7 @@ def with_nodes(network: Network, nodes: Sequence[OrientationImages]) -> Network:
 
 def require_respaceable(network: Network) -> None:
     """Raise InputError unless there are passes, and priors that hold for any nodes."""
-    if not network.passes:
-        raise InputError("network", "no passes", "images whose orientation follows from orientation images")
+    require(network.passes, "network", "no passes", "images whose orientation follows from orientation images")
     for pass_ in network.passes:
         if not isinstance(pass_.prior, NodePrior):
             found = "a joint prior of just its nodes"

@@ -260,18 +260,13 @@ SHARE = 0.98
 """Share of the values that a colour scale covers, on either side."""
 
 
-def counts(groups: Index, number: int) -> Index:
-    """(number,) how many of `groups` (n,), from 0 on, are each one."""
-    return np.bincount(groups, minlength=number)
-
-
 def medians(values: Array, groups: Index, number: int) -> Array:
     """(number,) median of the finite values (n,) of each group (n,), counted from 0; NaN where there are none."""
     sound = np.isfinite(values)
     values, groups = values[sound], groups[sound]
     by_value = np.argsort(values)  # with sorted groups, of few bits, a third of the time of np.lexsort
     order = by_value[np.argsort(groups[by_value].astype(np.min_scalar_type(number)), kind="stable")]
-    ordered, of, middle = values[order], counts(groups, number), np.full(number, np.nan)
+    ordered, of, middle = values[order], np.bincount(groups, minlength=number), np.full(number, np.nan)
     first, some = np.cumsum(of) - of, of > 0
     low, high = (ordered[(first + shift)[some]] for shift in ((of - 1) // 2, of // 2))
     middle[some] = 0.5 * (low + high)
@@ -456,7 +451,7 @@ def prior_sigmas(pass_: Pass, rows: Array) -> Array:
     from scipy.sparse.linalg import splu
 
     scales = np.concatenate([np.where(np.isfinite(sigmas), sigmas, 1.0) for sigmas in pass_.sigmas])
-    root = _root(pass_, scales)
+    root = whitened_rows(pass_, scales)
     wanted = np.pad(rows, ((0, 0), (0, scales.size - rows.shape[1]))) * scales
     try:
         solved = splu((root.T @ root).tocsc()).solve(np.ascontiguousarray(wanted.T))
@@ -465,7 +460,7 @@ def prior_sigmas(pass_: Pass, rows: Array) -> Array:
     return np.asarray(np.sqrt(np.maximum(np.einsum("rc,cr->r", wanted, solved), 0.0)))
 
 
-def _root(pass_: Pass, scales: Array) -> "csr_array":
+def whitened_rows(pass_: Pass, scales: Array) -> "csr_array":
     """(rows, columns) whitened rows of the prior on nodes and trend, in units of `scales` (columns,)."""
     from scipy.sparse import csr_array
 

@@ -2,10 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network, Process, ProcessPrior
 from mgsgraph.record import Record
@@ -87,8 +88,7 @@ def sought_strengths(network: Network) -> list[Strength]:
         if len(pass_.nodes) > _MOST and any(k == of for members in members_of.values() for of, _ in members):
             remedy = "state the strengths that a shorter part of the pass gives"
             raise InputError(f"pass {pass_.name!r}, strengths", f"{len(pass_.nodes)} nodes", f"{_MOST} at most", remedy)
-    if not members_of:
-        raise InputError("strengths of processes", "none that is to be estimated", 'some with sigma = "estimated"')
+    require(members_of, "strengths of processes", "none that is to be estimated", 'some with sigma = "estimated"')
     sought = list[Strength]()
     for number, ((part, kind, _), members) in enumerate(members_of.items()):
         names = tuple(network.passes[k].name for k, _ in members)
@@ -122,7 +122,8 @@ def processes_of(network: Network, number: int, part: str) -> tuple[Process, ...
     """Of a part of a pass."""
     prior = network.passes[number].prior
     assert isinstance(prior, ProcessPrior)
-    return prior.position if part == "position" else prior.attitude
+    processes: tuple[Process, ...] = getattr(prior, part)
+    return processes
 
 
 def strength_sigmas(network: Network, sought: Sequence[Strength]) -> Array:
@@ -136,14 +137,9 @@ def with_strength_sigmas(network: Network, sought: Sequence[Strength], sigmas: A
     passes = list(network.passes)
     for item, sigma in zip(sought, sigmas.tolist(), strict=True):
         for of_pass, number in item.members:
-            prior = passes[of_pass].prior
-            assert isinstance(prior, ProcessPrior)
-            part = list(prior.position if item.part == "position" else prior.attitude)
+            prior: Any = passes[of_pass].prior
+            part = list(getattr(prior, item.part))
             of_axes = np.where(np.arange(3) == item.axis, sigma, part[number].sigmas)
             part[number] = replace(part[number], sigmas=of_axes)
-            if item.part == "position":
-                prior = replace(prior, position=tuple(part))
-            else:
-                prior = replace(prior, attitude=tuple(part))
-            passes[of_pass] = replace(passes[of_pass], prior=prior)
+            passes[of_pass] = replace(passes[of_pass], prior=replace(prior, **{item.part: tuple(part)}))
     return replace(network, passes=tuple(passes))

@@ -19,7 +19,7 @@ from mgsgraph.adjustment.frames import FLIGHT_NAMES, axes_of_flight
 from mgsgraph.analysis.residual_rows import ResidualRows
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north_up
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, place_of
 from mgsgraph.kernel.rows import FIXED, GROUND, IMAGE, OUT, RANGE, SURFACE
 from mgsgraph.network import Network, PointClass, SharedKind
 from mgsgraph.network.shared import image_effect
@@ -231,8 +231,7 @@ class Motions:
         }
         singles = range(len(at.network.images)) if len(at.network.images) <= _MOST_IMAGES else range(0)
         self._control |= {(IMAGE, j): np.zeros((index.size, 3)) for j in (-1, *singles)}
-        ray_of = np.full(at.rows.weight.shape[1], -1)
-        ray_of[at.layout.observation_rows.rays] = np.arange(at.network.rays.point.size)
+        ray_of = place_of(at.layout.observation_rows.rays, at.rows.weight.shape[1])
         covariances = np.zeros((index.size, 3, 3))
         for k, place in enumerate(index.tolist()):
             piece = int(at.layout.patterns.piece_of(np.array([place]))[0])
@@ -243,7 +242,7 @@ class Motions:
             except np.linalg.LinAlgError:  # nearly parallel rays: it moves anywhere
                 covariances[k] = np.eye(3)
                 continue
-            self.follow[k, :, _columns(at, rows.variables)] = follows.T
+            self.follow[k, :, at.layout.variables.columns_of_all(rows.variables)] = follows.T
             self.noise[k] = noise @ noise.T
             covariances[k] = self.noise[k] + follows @ at.joint.of(rows.variables) @ follows.T
             kinds = at.rows.observation_kind[at.rows.pattern_observation[pattern] + rows.observation]
@@ -269,12 +268,6 @@ class Motions:
         moved = self.follow @ shared + self._control.get(control, 0.0)
         whitened = np.einsum("nij,nj->ni", self.whitening, moved)
         return math.sqrt(np.mean(np.sum(moved**2, axis=1))), math.sqrt(np.mean(whitened**2))
-
-
-def _columns(at: Linearised, variables: tuple[int, ...]) -> Index:
-    """(c,) columns of some variables."""
-    parts = [np.arange(*at.layout.columns_of(v).indices(at.layout.columns)) for v in variables]
-    return np.concatenate([np.zeros(0, dtype=np.int64), *parts])
 
 
 def _per_meter(kind: int, axis: int, by_point: Array, places: Array) -> Array:

@@ -21,7 +21,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.analysis.residual_rows import ResidualRows, correlations, residual_rows
 from mgsgraph.analysis.systematic import EffectKind, Family, Hypothesis, families
-from mgsgraph.errors import InputError
+from mgsgraph.errors import require
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network
 from mgsgraph.record import Record
@@ -254,8 +254,7 @@ def unexplained(of: Solution | Linearised, level: float = LEVEL) -> Unexplained:
     >>> print(*found.sentences, sep="\n")
     203 tests by time, sample, slope, height and neighbors find no significant effect.
     """
-    if not 0.0 < level < 1.0:
-        raise InputError("tests of the residuals, level", f"{level}", "a probability between 0 and 1")
+    require(0.0 < level < 1.0, "tests of the residuals, level", f"{level}", "a probability between 0 and 1")
     at = of if isinstance(of, Linearised) else at_solution(of)
     return _Search(residual_rows(at, _chosen(at.network)), level).found()
 

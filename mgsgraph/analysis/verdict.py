@@ -35,7 +35,7 @@ from mgsgraph.analysis.undetected import Undetected, undetected
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.rows import IMAGE
-from mgsgraph.network import PointClass
+from mgsgraph.network import Network, PointClass
 from mgsgraph.network.duplicates import duplicates
 from mgsgraph.network.parts import thinned
 from mgsgraph.record import Record
@@ -425,31 +425,28 @@ def _offset(rows: ResidualRows, members: Index, column: Array, what: str, unit: 
 
 def _outliers(rows: ResidualRows) -> Iterator[Reason]:
     """Observations whose own test none of so many good ones would exceed, as one reason."""
-    from scipy.special import ndtr  # slow to import
-
     redundancy = rows.redundancy[: rows.begin_of_priors]
     tested = np.flatnonzero(redundancy > _CONTROLLED)
     test = np.abs(rows.residuals[tested]) / np.sqrt(redundancy[tested])
-    over = tested[test > _critical(_level("observations", tested.size))]
-    if over.size:
-        points = np.unique(rows.point[over])
-        worst = int(tested[np.argmax(test)])
-        name = rows.at.network.points.ids[int(rows.point[worst])]
-        size = float(test.max())
-        yield Reason(State.SUSPECT, Cause.OBSERVATION, name, size, "sigmas", points.size, 2.0 * float(ndtr(-size)))
+    return _outlying(rows.at.network, rows.point[tested], test, tested.size)
 
 
 def _outlying_rays(solution: Solution) -> Iterator[Reason]:
     """The same of all image measurements of a large network, by their residuals over their own sigmas: these exceed
     what redundancy leaves of them, so that none is named in vain.
     """
+    network = solution.network
+    test = np.nan_to_num(np.abs(solution.residuals / network.ray_sigmas).max(axis=1))
+    return _outlying(network, network.rays.point, np.where(solution.rays_used, test, 0.0), solution.residuals.size)
+
+
+def _outlying(network: Network, point: Index, test: Array, count: int) -> Iterator[Reason]:
+    """Observations (k,) of some points that exceed what none of `count` good tests would, as one reason."""
     from scipy.special import ndtr  # slow to import
 
-    rays, used, sigmas = solution.network.rays, solution.rays_used, solution.network.ray_sigmas
-    size = np.where(used, np.nan_to_num(np.abs(solution.residuals / sigmas).max(axis=1)), 0.0)
-    over = np.flatnonzero(size > _critical(_level("observations", solution.residuals.size)))
+    over = np.flatnonzero(test > _critical(_level("observations", count)))
     if over.size:
-        worst = int(over[np.argmax(size[over])])
-        name, largest = solution.network.points.ids[int(rays.point[worst])], float(size[worst])
-        points = np.unique(rays.point[over]).size
-        yield Reason(State.SUSPECT, Cause.OBSERVATION, name, largest, "sigmas", points, 2.0 * float(ndtr(-largest)))
+        worst = int(over[np.argmax(test[over])])
+        name, size = network.points.ids[int(point[worst])], float(test[worst])
+        points = np.unique(point[over]).size
+        yield Reason(State.SUSPECT, Cause.OBSERVATION, name, size, "sigmas", points, 2.0 * float(ndtr(-size)))

@@ -26,7 +26,7 @@ from mgsgraph.adjustment.frames import Frames
 from mgsgraph.adjustment.graph import Layout, lay_out
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.errors import InputError
+from mgsgraph.errors import require
 from mgsgraph.geometry.records import Array
 from mgsgraph.record import Record
 
@@ -106,14 +106,12 @@ def weak_directions(solution: Solution, count: int = 5) -> tuple[WeakDirection, 
 
 def weakest(layout: Layout, joint: JointCovariance, count: int = 5) -> tuple[WeakDirection, ...]:
     """The directions of a layout's shared unknowns of which a covariance says least, weakest first."""
-    if count < 1:
-        raise InputError("least-constrained directions", f"{count}", "1 or more")
-    if joint.columns == 0 or joint.columns != layout.columns:
-        raise InputError(
-            "least-constrained directions", f"a covariance of {joint.columns} unknowns",
-            f"one of {layout.columns or 'at least one'}, as the network has",
-            "give an adjustment with free orientation",
-        )  # fmt: skip
+    require(count >= 1, "least-constrained directions", f"{count}", "1 or more")
+    require(
+        joint.columns and joint.columns == layout.columns, "least-constrained directions",
+        f"a covariance of {joint.columns} unknowns", f"one of {layout.columns or 'at least one'}, as the network has",
+        "give an adjustment with free orientation",
+    )  # fmt: skip
     frames, directions = Frames(layout), list[WeakDirection]()
     prior = layout.prior.whitening(layout.scales)
     factors = sum(layout.network.widths[layout.network.first_of_passes[-1] :])

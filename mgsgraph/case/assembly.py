@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.case.schema import AltimetryInput, LaserInput, ShotsInput, TerrainInput
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.networks.tie_points import PointKind, TiePoints
 from mgsgraph.geometry.altimetry import (
     AltimeterShots,
@@ -252,11 +252,10 @@ class Parts:
     def add_altimetry(self, cloud: AltimetryCloud, entry: AltimetryInput) -> None:
         """Shots in an image or its margin: constrained points in profiles of unknown shift, height and drift."""
         selected = cloud.chosen(np.any(points_in_images(self.images, cloud.points, entry.margin_px), axis=0))
-        if not selected.ids:
-            raise InputError(
-                cloud.source, f"{len(cloud.ids)} shots, none within {entry.margin_px:g} pixels of an image",
-                "altimetry that crosses the images", "take the table out, or check file and images",
-            )  # fmt: skip
+        require(
+            selected.ids, cloud.source, f"{len(cloud.ids)} shots, none within {entry.margin_px:g} pixels of an image",
+            "altimetry that crosses the images", "take the table out, or check file and images",
+        )  # fmt: skip
         name, (horizontal, vertical) = Path(cloud.source).name.split(".")[0], entry.sigma_m
         first, n = self._claim(selected.ids.prefixed(f"{name}:"), cloud.source), len(selected.ids)
         covariances = footprint_covariances(selected.points, horizontal, vertical)
@@ -289,8 +288,7 @@ class Parts:
     ) -> Network:
         """All of it as one network; `entry` is the table of the terrain model on which tie points lie, if any."""
         points = GroundPoints(self._ids(), *(concatenated(part) for part in zip(*self._points, strict=True)))
-        if not self._rays:
-            raise InputError("case", "no image measures at all", "tie points, or laser shots measured in images")
+        require(self._rays, "case", "no image measures at all", "tie points, or laser shots measured in images")
         back_projected = np.concatenate(self._back_projected)
         point, image, places, sigmas = (concatenated(part) for part in zip(*self._rays, strict=True))
         rays, common = common_matches(

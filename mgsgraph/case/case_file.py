@@ -102,8 +102,7 @@ def _refuse_former(value: Any, where: str) -> None:
             expected, remedy = _FORMER.get(key) or _FORMER.get(f"{key} = {inner}", ("", ""))
             if key.endswith("_mgon"):
                 expected, remedy = f"{key.removesuffix('mgon')}mrad", "1 mgon is 0.015708 mrad"
-            if expected:
-                raise InputError(f"{where}, {key}", "a word of earlier versions", expected, remedy)
+            require(not expected, f"{where}, {key}", "a word of earlier versions", expected, remedy)
             _refuse_former(inner, f"{where}, {key}")
 
 
@@ -113,8 +112,7 @@ def _refuse_other_kinds(path: Path) -> None:
         remedy = f"mgsgraph project solve {path} adjusts it, mgsgraph project status {path} says what is in it"
         raise InputError(str(path), "a project", "a case file (TOML)", remedy)
     kind = "a folder" if path.is_dir() else kind_of(path)
-    if kind not in (None, Kind.CASE):
-        raise InputError(str(path), str(kind), "a case file (TOML)", f"make one: mgsgraph new {path}")
+    require(kind in (None, Kind.CASE), str(path), str(kind), "a case file (TOML)", f"make one: mgsgraph new {path}")
 
 
 def plain_image(entry: ImageInput, spice: SpiceInput | None, folder: Path, where: str) -> ImageInput:
@@ -267,8 +265,7 @@ def _kernels(entry: ImageInput, spice: SpiceInput | None) -> tuple[str, ...]:
 
 def _required_kernels(entry: ImageInput, spice: SpiceInput | None, folder: Path, where: str) -> list[Path]:
     kernels = _kernels(entry, spice)
-    if not kernels:
-        raise InputError(where, "a label without kernels", "kernels = [...] here or in [spice]")
+    require(kernels, where, "a label without kernels", "kernels = [...] here or in [spice]")
     return [folder / kernel for kernel in kernels]
 
 

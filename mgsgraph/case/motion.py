@@ -250,11 +250,10 @@ def polynomial_sigmas(motion: Motion, default: Array, where: str) -> Array:
     if degree < 0:
         raise InputError(of, "no sigma" if motion.degree is None else f"{degree}", f"a degree of 0 to {HIGHEST}: one "
                          "sigma for each of its terms")  # fmt: skip
-    if degree > HIGHEST:
-        raise InputError(
-            of, f"a polynomial of degree {degree}", f"0 to {HIGHEST} for a pass",
-            'a lower degree, or a process, which follows any course: model = "matern-3/2" with nodes',
-        )  # fmt: skip
+    require(
+        degree <= HIGHEST, of, f"a polynomial of degree {degree}", f"0 to {HIGHEST} for a pass",
+        'a lower degree, or a process, which follows any course: model = "matern-3/2" with nodes',
+    )  # fmt: skip
     if values is None:
         more = [_FOLLOWING * default[0]] * max(degree + 1 - len(default), 0)
         sigmas = np.array([*default[: degree + 1], *more])

@@ -29,7 +29,7 @@ from mgsgraph.case.motion import (
     three,
     trend_sigmas,
 )
-from mgsgraph.errors import InputError, errors_from
+from mgsgraph.errors import InputError, errors_from, require
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationImages, OrientationPrior, evenly_spaced
@@ -185,8 +185,7 @@ def members(entries: Sequence[PassInput], names: Sequence[str], path: str) -> li
         if sum(entry.images is None for entry in entries) > 1:
             raise InputError(f"{path}, passes", "several without images", "names: one alone may take those left over")
         left = [j for j in range(len(names)) if j not in owner]
-        if not left:
-            raise InputError(f"{path}, passes[{k}]", "no image that no other table names", "images = [...]")
+        require(left, f"{path}, passes[{k}]", "no image that no other table names", "images = [...]")
         owner |= dict.fromkeys(left, k)
     return [sorted(j for j, at in owner.items() if at == k) for k in range(len(entries))]
 
@@ -314,8 +313,7 @@ class MountingInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     def check(self, where: str) -> None:
         """Raise InputError for keys that contradict each other; `where` names the table."""
         given = [key for key in ("camera", "instrument", "laser") if getattr(self, key)]
-        if len(given) != 1:
-            raise InputError(where, " and ".join(given) or "no camera", "one of camera, instrument and laser")
+        require(len(given) == 1, where, " and ".join(given) or "no camera", "one of camera, instrument and laser")
         unknown = self.boresight_sigma_mrad is not None or self.lever_arm_sigma_m is not None
         if self.sharing == "fixed" and unknown:
             raise InputError(where, 'sigmas of a mounting with sharing = "fixed"', "none", '"campaign" or "pass"')

@@ -11,7 +11,7 @@ from mgsgraph.case.passes import members
 from mgsgraph.case.reading import picture_of, read_profile
 from mgsgraph.case.schema import CaseInput
 from mgsgraph.case.terrain import as_grid, read_terrain_model
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.altimetry.lidar import read_lidar
 from mgsgraph.files.rasters.pictures import read_picture
 from mgsgraph.geometry.body import geodetic
@@ -63,8 +63,7 @@ def read_scene(
     _require_sound(height, height_sigma)
     tables = decode(path)
     names = [image.name for image in tables.images]
-    if len(tables.images) < 2:
-        raise InputError(str(path), "one image", "two that overlap, at least")
+    require(len(tables.images) >= 2, str(path), "one image", "two that overlap, at least")
     of_passes = members(tables.passes, names, str(path))
     images = read_images(tables, tables.orientations, of_passes, path)
     priors = image_priors(tables, of_passes, images, path)
@@ -112,11 +111,10 @@ def _ground(
         terrain = as_grid(read_terrain_model(model, path, images)[0])
     chart = _chart(images, height or 0.0)
     heights = _heights(tables, images, path, terrain) if height is None else np.array([height])
-    if heights.size == 0:
-        raise InputError(
-            str(path), "neither a terrain model nor laser shots under the images", "the height of their ground",
-            "add [terrain], or give --height METRES",
-        )
+    require(
+        heights.size, str(path), "neither a terrain model nor laser shots under the images",
+        "the height of their ground", "add [terrain], or give --height METRES",
+    )  # fmt: skip
     if height_sigma is None:
         height_sigma = _ABOUT_MODEL if terrain is not None else max(_LEAST_SIGMA, 2.0 * float(heights.std()))
     ground = Ground(chart, body, float(heights.mean()), height_sigma, terrain)
@@ -137,8 +135,7 @@ def _places(images: Sequence[PushbroomImage], height: float) -> Array:
         parts.append(image.image_to_ground(lines.ravel(), samples.ravel(), height)[0])
     places = np.concatenate(parts)
     places = places[np.all(np.isfinite(places), axis=1)]
-    if places.size == 0:
-        raise InputError("images to match", "none that sees the body", "images of the ground")
+    require(places.size != 0, "images to match", "none that sees the body", "images of the ground")
     return places
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 import numpy as np
 
 from mgsgraph.case.schema import TerrainInput
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.geometry.body import Ellipsoid, east_north, planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
@@ -51,8 +51,7 @@ def read_terrain_model(
         Under whose ground files are read.
     """
     folder, place = where.parent, f"{where}, terrain"
-    if not entry.grids:
-        raise InputError(place, "no radius", "the files of a grid")
+    require(entry.grids, place, "no radius", "the files of a grid")
     levels = [key for key in ("areoid", "reference_radius_m", "reference_ellipsoid_m") if getattr(entry, key)]
     levels += ["topography"] if entry.areoid and entry.topography else []
     if len(levels) > 1:

@@ -94,13 +94,12 @@ def add(
     Exit status: 0 added, 1 added and not converged, 2 bad input (nothing has changed).
     """
     from mgsgraph.cli.progress import stage_bar
-    from mgsgraph.errors import InputError
+    from mgsgraph.errors import require
     from mgsgraph.project.addition import parse_image, read_addition
     from mgsgraph.project.changes import add as add_to
     from mgsgraph.project.project import open_project
 
-    if not (images or ties or shots):
-        raise InputError("add", "no image, no --ties and no --shots", "at least one of them")
+    require(images or ties or shots, "add", "no image, no --ties and no --shots", "at least one of them")
     _require_writable(table, project)
     arguments = [parse_image(text) for text in images]
     with stage_bar(2) as stages, open_project(project, write=True, discard=dry_run) as opened:

@@ -231,7 +231,7 @@ def match(
     every match measured by least squares in the images themselves, with its covariance. Use the result with
     `mgsgraph adjust CASE --ties OUT/network.pvl`.
     """
-    from mgsgraph.errors import InputError
+    from mgsgraph.errors import require
     from mgsgraph.files.output.folders import PROJECT
     from mgsgraph.matching.settings import MatchSettings
     from mgsgraph.project.changes import take_ties, waiting_case
@@ -244,8 +244,7 @@ def match(
             raise click.UsageError("--out is for a case: a project keeps its tie points itself")
         with open_project(project := case) as opened:
             case, out = waiting_case(opened), opened.matches
-    if case.is_dir():
-        raise InputError(str(case), "neither a case file nor a project", "one of the two", "check the path")
+    require(not case.is_dir(), str(case), "neither a case file nor a project", "one of the two", "check the path")
     out = folder_for(out, case, "match")
     _match(case, out, settings, height, height_sigma, workers, not no_figures)
     if project is not None:

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.export.csm import STATE, file_stems
 from mgsgraph.export.isis import adjusted_network
 from mgsgraph.files.networks.asp_match import match_files
@@ -113,8 +113,7 @@ def _taking_part(solution: Solution, files: Sequence[str], scaled: bool) -> Cont
         )
         if measures:
             points.append(msgspec.structs.replace(point, measures=measures, reference=None))
-    if not points:
-        raise InputError(f"solution {solution.name!r}", "no measure that took part", "some for the pipeline")
+    require(points, f"solution {solution.name!r}", "no measure that took part", "some for the pipeline")
     return msgspec.structs.replace(network, points=tuple(points))
 
 

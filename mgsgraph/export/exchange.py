@@ -13,7 +13,7 @@ import numpy as np
 from msgspec import structs
 
 from mgsgraph.atomic_write import resolved
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.export import Format
 from mgsgraph.export.exchange_losses import losses
 from mgsgraph.export.exchange_setting import ExchangeSetting, ellipsoid_of, leading, require_one_body, with_head
@@ -101,8 +101,7 @@ class Lossy(InputError):
 def format_of(path: Path, named: str | None = None, option: str = "--from") -> Format:
     """A file's format by its ending, or as named; InputError for an unknown one."""
     if named is not None:
-        if named not in list(Format):
-            raise InputError(option, repr(named), ", ".join(Format))
+        require(named in list(Format), option, repr(named), ", ".join(Format))
         return Format(named)
     if (form := _ENDINGS.get(path.suffix.lower())) is None:
         remedy = f"or say the format with {option}"
@@ -187,8 +186,7 @@ def _require_inside(network: ControlNetwork, sizes: Mapping[str, tuple[int, int]
 def _listed(paths: Paths) -> list[Path]:
     """One path or several, as a list; InputError for none, or one twice."""
     listed = [Path(item) for item in ([paths] if isinstance(paths, str | Path) else paths)]
-    if not listed:
-        raise InputError("convert", "nothing to read", "one file or more")
+    require(listed, "convert", "nothing to read", "one file or more")
     resolved_paths = set[Path]()
     for path in listed:
         if (place := resolved(path, "")) in resolved_paths:
@@ -199,8 +197,7 @@ def _listed(paths: Paths) -> list[Path]:
 
 def _match(path: Path, form: Format, setting: ExchangeSetting) -> MatchFile:
     """One match file; its images by the names that are known, unless a prefix is."""
-    if not os.path.exists(path):  # said before its name is taken apart, which may be a pattern that met nothing
-        raise InputError(str(path), "no such file", remedy="check the path")
+    require(os.path.exists(path), str(path), "no such file", remedy="check the path")
     names = () if setting.prefix is not None else setting.old_names()
     return (read_match if form == Format.MATCH else read_match_text)(path, named_images(path, names, setting.prefix))
 

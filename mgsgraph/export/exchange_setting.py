@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from msgspec import structs
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.networks.record import (
     ControlNetwork,
 )
@@ -103,10 +103,8 @@ def _pairs(option: str, form: str, texts: Iterable[str]) -> list[tuple[str, str]
     pairs = list[tuple[str, str]]()
     for text in texts:
         name, equals, value = text.rpartition("=")
-        if not (name and equals and value):
-            raise InputError(option, repr(text), form)
-        if name in dict(pairs):
-            raise InputError(option, f"{name!r} twice", "each image once")
+        require(name and equals and value, option, repr(text), form)
+        require(name not in dict(pairs), option, f"{name!r} twice", "each image once")
         pairs.append((name, value))
     return pairs
 
@@ -151,8 +149,7 @@ def ellipsoid_of(network: ControlNetwork, output: Path, setting: ExchangeSetting
 def with_head(network: ControlNetwork, output: Path, setting: ExchangeSetting) -> ControlNetwork:
     """With a target, which ISIS demands, an id and radii."""
     target = network.target_name or setting.target
-    if not target:
-        raise InputError(str(output), "no name of the target body", "one", "say --body MARS, or another")
+    require(target, str(output), "no name of the target body", "one", "say --body MARS, or another")
     radii = network.target_radii
     if not radii and setting.ellipsoid is not None:
         radii = (setting.ellipsoid.equatorial, setting.ellipsoid.equatorial, setting.ellipsoid.polar)

@@ -15,7 +15,7 @@ import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import rejected_points
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.export.bundle_out import covariance_factor, write_bundle_out
 from mgsgraph.export.network_content import ADJUSTED_BY, Restored, with_content
 from mgsgraph.files.altimetry.lidar import LidarMeasure, LidarShot, lidar_coordinates, lidar_text
@@ -134,8 +134,7 @@ def adjusted_network(
     network = solution.network
     chosen = (network.ray_counts > 0) & (laser | (network.points.classes != PointClass.LASER))
     indices = np.flatnonzero(chosen).tolist()
-    if not indices:
-        raise InputError(f"solution {solution.name!r}", "no point that is measured in an image", "some for a network")
+    require(indices, f"solution {solution.name!r}", "no point that is measured in an image", "some for a network")
     factor, rejected = covariance_factor(solution, scaled), rejected_points(solution).tolist()
     measures, body = _measures(solution), network.images[0].body
     prior = _triangles(network.independent.points.covariances, network.points.kinds == PointKind.CONSTRAINED)

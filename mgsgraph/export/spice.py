@@ -21,7 +21,7 @@ import spiceypy
 from spiceypy.utils.exceptions import NotFoundError
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.export.spice_nodes import (
     TOLERANCE,
     AdjustedNodes,
@@ -279,8 +279,7 @@ def _texts(folder: Path, export: _Export) -> tuple[list[str], tuple[str, ...]]:
     if export.clock_kernels:
         clocks = [path.name for path in export.clock_kernels]
         for path in export.clock_kernels:
-            if not path.is_file():
-                raise InputError(str(path), "no such file", "the mission's SCLK or LSK")
+            require(path.is_file(), str(path), "no such file", "the mission's SCLK or LSK")
             copyfile(path, folder / path.name)
     else:
         clocks = [NAMES[0]]

@@ -11,7 +11,7 @@ import numpy as np
 import spiceypy
 from spiceypy.utils.exceptions import NotFoundError
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import require
 from mgsgraph.export.spice_nodes import Reprojection, images_of
 from mgsgraph.files.labels.kernels import loaded, spice_words
 
@@ -51,8 +51,7 @@ def spice_differences(folder: Path, expected: Reprojection) -> Numbers:
     with loaded([meta], folder), spice_words(str(meta)):
         cameras = _cameras()
         for name, of_image in images_of(expected).items():
-            if name not in cameras:
-                raise InputError(str(meta), f"no camera constants of the image {name}", "those of every image")
+            require(name in cameras, str(meta), f"no camera constants of the image {name}", "those of every image")
             with np.errstate(all="ignore"):  # far outside the image the polynomials of the optics overflow
                 place = _seen(cameras[name], expected.points[of_image])
             differences[of_image] = np.linalg.norm(place - expected.places[of_image], axis=1)
@@ -165,8 +164,7 @@ def _distorted(camera: _Camera, ideal: Numbers) -> Numbers:
         "NONE": _none, "LROC_NAC": _lroc, "RADIAL": _radial, "KAGUYA_TC": _kaguya_tc, "KAGUYA_MI": _kaguya_mi,
         "MOC_WIDE": _moc_wide, "THEMIS_IR": _themis,
     }  # fmt: skip
-    if camera.distortion not in forms:
-        raise InputError("instrument kernel, DISTORTION", repr(camera.distortion), ", ".join(forms))
+    require(camera.distortion in forms, "instrument kernel, DISTORTION", repr(camera.distortion), ", ".join(forms))
     model, place = forms[camera.distortion], ideal.copy()
     c1, c2, c3 = camera.radial
 

@@ -18,7 +18,7 @@ import msgspec
 import numpy as np
 
 from mgsgraph.case.assembly import in_images
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.networks.record import ControlNetwork
 from mgsgraph.files.networks.tie_points import TiePoints, tie_points
 from mgsgraph.files.opening import read_text
@@ -102,8 +102,7 @@ def read_verdicts(path: str | Path) -> Verdicts:
     path = Path(path)
     head, body, first_line = _split(read_text(path))
     networks = {match[1] for line in head if (match := _NETWORK.match(line))}
-    if len(networks) > 1:
-        raise InputError(str(path), "verdicts about two networks", "about one", "give each a file of its own")
+    require(len(networks) <= 1, str(path), "verdicts about two networks", "about one", "give each a file of its own")
     of, notes = dict[str, Verdict](), dict[str, str]()
     (where, header), *rows = _rows(body, first_line, path) or [(str(path), [])]
     _require_header(header, where)
@@ -111,12 +110,10 @@ def read_verdicts(path: str | Path) -> Verdicts:
         if len(row) != len(header):
             raise InputError(where, f"{len(row)} fields", f"{len(header)} as in the header", "quote commas in notes")
         name, verdict = row[0], row[1].strip().lower() or Verdict.UNDECIDED.value
-        if not name:
-            raise InputError(where, "no id", "the point's id in the first column")
+        require(name, where, "no id", "the point's id in the first column")
         if verdict not in list(Verdict):
             raise InputError(where, f"the verdict {row[1].strip()[:40]!r}", "accept, reject, undecided or nothing")
-        if name in of:
-            raise InputError(where, f"the id {name!r} a second time", "each id once", "remove one of the two rows")
+        require(name not in of, where, f"the id {name!r} a second time", "each id once", "remove one of the two rows")
         of[name] = Verdict(verdict)
         if note := "".join(row[2:]).strip():
             notes[name] = note

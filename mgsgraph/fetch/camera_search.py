@@ -34,6 +34,15 @@ class Box(NamedTuple):
     east: float
 
 
+def stated_interval(store: DownloadFolder, label: WantedFile) -> Interval | None:
+    """What a kernel's label says that it covers; None without a label, or in one without times."""
+    try:
+        path = store.get(label)
+    except NotInArchive:
+        return None
+    return Interval.stated_by(flat_label(read_text(path, encoding="latin-1"), str(path)))
+
+
 class CameraSearch:
     """Looks images up; meta-kernels and kernels' labels that it reads on the way stay in the store."""
 
@@ -147,11 +156,7 @@ class CameraSearch:
         if covered is not None:
             return True
         label = path.rpartition(".")[0] + (".LBL" if name.isupper() else ".lbl")
-        try:
-            text = read_text(self._store.get(WantedFile(data + label, kernel_path(label.lower()))), encoding="latin-1")
-        except NotInArchive:
-            return True
-        stated = Interval.stated_by(flat_label(text, label))
+        stated = stated_interval(self._store, WantedFile(data + label, kernel_path(label.lower())))
         return stated is None or stated.meets(interval)
 
     def _addendum(self, camera: ArchivedCamera, where: str) -> tuple[str, tuple[str, ...]]:

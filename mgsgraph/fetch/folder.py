@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from shlex import quote
 
-from mgsgraph.errors import InputError, errors_from, printable
+from mgsgraph.errors import InputError, errors_from, printable, require
 from mgsgraph.fetch.camera_search import Box, shots_in
 from mgsgraph.fetch.case_file import (
     CASE,
@@ -194,8 +194,7 @@ def fetch_shots(
     """
     folder, archives = Path(out), archives or Archives()
     west, east, south, north = box
-    if altimeter not in DATA_SETS:
-        raise InputError("altimeter", repr(altimeter), f"one of {', '.join(DATA_SETS)}")
+    require(altimeter in DATA_SETS, "altimeter", repr(altimeter), f"one of {', '.join(DATA_SETS)}")
     if not (-90.0 <= south < north <= 90.0 and -180.0 <= west < east <= 360.0):
         raise InputError("box", f"{west:g} {east:g} {south:g} {north:g}", "west < east, south < north, in degrees")
     name = f"shots/{altimeter}_{west:g}_{east:g}_{south:g}_{north:g}_pts_csv.csv".replace("-", "m")
@@ -203,8 +202,7 @@ def fetch_shots(
         lock = store.lock
         if not lock.whole(name):
             path = shots_in(Box(south, north, west, east), DATA_SETS[altimeter], archives, store.remote)
-            if not path:
-                raise InputError(f"{altimeter} in {box}", "no table of shots by ODE", "a box that its profiles cross")
+            require(path, f"{altimeter} in {box}", "no table of shots by ODE", "a box that its profiles cross")
             if name in lock.files:  # ODE makes another table each time it is asked
                 del lock.files[name]
             store.get(WantedFile(archives.ode + path, name))
@@ -226,8 +224,7 @@ def _made_folder(folder: Path) -> Path:
     """The folder, made where there is none; InputError where it is neither empty nor an earlier one of ours."""
     with writing_to(folder, "a folder", _REMEDY):
         if folder.exists() and not (folder / LOCK).exists():
-            if not folder.is_dir():
-                raise InputError(str(folder), "exists and is a file", "a folder to fetch into", _REMEDY)
+            require(folder.is_dir(), str(folder), "exists and is a file", "a folder to fetch into", _REMEDY)
             if any(folder.iterdir()):
                 found, expected = f"exists, and has no {LOCK}", "an empty folder, or one fetched into"
                 raise InputError(str(folder), found, expected, _REMEDY)
@@ -267,8 +264,7 @@ def ground_places(image: ImageNeeds, folder: Path) -> list[tuple[float, float]]:
         When the kernels don't hold its time, or it looks past Mars.
     """
     if image.camera is not None:
-        if not image.box:
-            raise InputError(str(image.product), "no place on the ground in its label", "that of its kernels")
+        require(image.box, str(image.product), "no place on the ground in its label", "that of its kernels")
         south, north, west, east = image.box
         step = (east - west) % 360.0 / 4.0  # a tile is 90 degrees wide
         return [(west + k * step, latitude) for k in range(5) for latitude in (south, north)]
@@ -283,8 +279,7 @@ def ground_places(image: ImageNeeds, folder: Path) -> list[tuple[float, float]]:
     lines, samples = np.array([0.0, 0.0, 0.5, 1.0, 1.0]), np.array([0.0, 1.0, 0.5, 0.0, 1.0])
     points, _ = picture.image_to_ground(lines * picture.lines, samples * picture.samples)
     places = planetocentric(points[np.all(np.isfinite(points), axis=1)]) / DEG
-    if not len(places):
-        raise InputError(image.image_path, "looks past Mars", "ground")
+    require(len(places), image.image_path, "looks past Mars", "ground")
     return [(float(longitude), float(latitude)) for longitude, latitude, _ in places]
 
 

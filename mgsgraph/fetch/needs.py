@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, cast, get_args
 from urllib.parse import urlsplit
 
 from mgsgraph.case.terrain import MEGDR_SIGMAS, MegdrResolution
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.decoding import LARGEST_TOML, toml_table
 from mgsgraph.files.opening import read_text
 from mgsgraph.record import Record
@@ -88,8 +88,7 @@ class Archives(Record):
         table = toml_table(read_text(path, limit=LARGEST_TOML), str(path))
         names = [field.name for field in fields(cls)]
         for key, value in table.items():
-            if key not in names:
-                raise InputError(f"{path}, {key}", "no archive of that name", ", ".join(names))
+            require(key in names, f"{path}, {key}", "no archive of that name", ", ".join(names))
             if not isinstance(value, str):
                 raise InputError(f"{path}, {key}", repr(value)[:60], "an address in quotation marks")
             require_address(value, f"{path}, {key}")
@@ -256,8 +255,7 @@ def read_product(text: str) -> Product:
 
 def products_of(texts: Sequence[str]) -> tuple[Product, ...]:
     """Ids in their order, each once, of one mission."""
-    if not texts:
-        raise InputError("images", "none", "at least one id, such as E02/00665")
+    require(texts, "images", "none", "at least one id, such as E02/00665")
     products = tuple(dict.fromkeys(map(read_product, texts)))
     require_one_mission(products)
     return products

@@ -17,14 +17,14 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
-from mgsgraph.errors import InputError
-from mgsgraph.fetch.camera_search import CameraSearch
+from mgsgraph.errors import InputError, require
+from mgsgraph.fetch.camera_search import CameraSearch, stated_interval
 from mgsgraph.fetch.download import NotInArchive, Remote
 from mgsgraph.fetch.kernel_phases import Interval, find_kernels
 from mgsgraph.fetch.needs import Archives, CameraProduct, ImageNeeds, Product, ProductId, WantedFile, kernel_path
 from mgsgraph.fetch.store import DownloadFolder
 from mgsgraph.files.altimetry.binary import FRAME, HEADER_RECORDS
-from mgsgraph.files.opening import read_bytes, read_text
+from mgsgraph.files.opening import read_bytes
 from mgsgraph.files.pvl import Block, Document, flat_label, whole_label
 from mgsgraph.text import some
 
@@ -89,8 +89,7 @@ def _candidates(orbit: int, archives: Archives, remote: Remote) -> Iterator[str]
 
 
 def _label_text(head: bytes, where: str) -> str:
-    if b"PDS_VERSION_ID" not in head:
-        raise InputError(where, f"it begins with {head[:16]!r}", "a PDS3 label", "try another mirror")
+    require(b"PDS_VERSION_ID" in head, where, f"it begins with {head[:16]!r}", "a PDS3 label", "try another mirror")
     return head.decode("latin-1")
 
 
@@ -124,8 +123,7 @@ def read_index(table: Path, label: Path) -> tuple[IndexRow, ...]:
     text = read_bytes(label).decode("latin-1").replace("\r\n", "\n")
     places = {block.text("NAME").upper(): _bytes(block) for block in _columns(whole_label(Document(str(label), text)))}
     for name in _COLUMNS:
-        if name not in places:
-            raise InputError(str(label), f"no column {name}", "the label of an image index")
+        require(name in places, str(label), f"no column {name}", "the label of an image index")
     return tuple(_rows(table, [places[name] for name in _COLUMNS]))
 
 
@@ -187,8 +185,7 @@ def volumes_of(texts: Sequence[str]) -> tuple[str, ...]:
     """Volumes by their names, in capitals or not; InputError for any other."""
     named = tuple(text.strip().lower() for text in texts)
     for name in named:
-        if not _NAME.fullmatch(name):
-            raise InputError(f"volume {name!r}"[:80], "not the name of a volume", "one such as mgsc_1068")
+        require(_NAME.fullmatch(name), f"volume {name!r}"[:80], "not the name of a volume", "one such as mgsc_1068")
     return named
 
 
@@ -300,9 +297,4 @@ class Search:
         return label
 
     def _cover(self, label: str) -> Interval | None:
-        """What a kernel's label says that it covers; None without a label, or in one without times."""
-        try:
-            path = self._store.get(WantedFile(self._archives.kernels + label, kernel_path(label)))
-        except NotInArchive:
-            return None
-        return Interval.stated_by(flat_label(read_text(path, encoding="latin-1"), str(path)))
+        return stated_interval(self._store, WantedFile(self._archives.kernels + label, kernel_path(label)))

@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.fetch.download import Remote
 from mgsgraph.fetch.needs import ImageNeeds, WantedFile, require_address
 from mgsgraph.files.altimetry.binary import FRAME
@@ -152,8 +152,7 @@ class DownloadFolder:
             It can't be brought whole, or is not the one that was locked.
         """
         name, path = wanted.path, self.path(wanted.path)
-        if not is_ours(name):
-            raise InputError(wanted.url, f"to be called {name!r} here", "a plain name", "try another mirror")
+        require(is_ours(name), wanted.url, f"to be called {name!r} here", "a plain name", "try another mirror")
         if name in self._asked:
             return path
         locked = self.lock.files.get(name)
@@ -260,8 +259,7 @@ def require_content(path: Path, name: str) -> None:
     content = read_bytes(path) if kind.limit <= 64 else head_of(path, _HEAD)
     if content.lstrip()[:15].lower().startswith((b"<!doctype", b"<html", b"<?xml", b"<head")):
         raise InputError(name, "a web page instead of the file", kind.called)
-    if size == 0:
-        raise InputError(name, "an empty file", kind.called)
+    require(size != 0, name, "an empty file", kind.called)
     if size % kind.record or (kind.marks and not any(mark in content for mark in kind.marks)):
         raise InputError(name, f"{size} bytes that begin with {content[:16]!r}", kind.called)
     if name.startswith("images/"):

@@ -18,7 +18,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.networks.record import MeasureType, PointType, require_shown
 from mgsgraph.files.networks.tie_points import FARTHEST
 from mgsgraph.files.opening import LARGEST_NUMBER, finite_number, read_text
@@ -167,8 +167,7 @@ def csv_text(text: str, path: Path, numbers: Index | None = None) -> CsvText:
                 _fields(line, f"{path}, line {k}")
         text, numbers = "\n".join(line for _, line in lines), np.array([k for k, _ in lines], dtype=np.int64)
     head, _, body = text.partition("\n")
-    if not head:
-        raise InputError(str(path), "an empty table", "a header, and rows below it")
+    require(head, str(path), "an empty table", "a header, and rows below it")
     numbers = np.arange(1, text.count("\n") + 2) if numbers is None else numbers
     header = f"line {numbers[0]}"
     names = tuple(name.strip() for name in _fields(head, f"{path}, {header}"))
@@ -287,8 +286,7 @@ def header_of(fields: Sequence[str], where: str) -> tuple[str, ...]:
     for name in names:
         if name not in COLUMNS:
             raise _unknown(name, names, where)
-        if names.count(name) > 1:
-            raise InputError(where, f"the column {name!r} twice", "each once")
+        require(names.count(name) <= 1, where, f"the column {name!r} twice", "each once")
     for name in ("id", "image"):
         if name not in names:
             raise InputError(where, f"no column {name!r}", "id, image, and isis_line, isis_sample or line, sample")
@@ -297,8 +295,7 @@ def header_of(fields: Sequence[str], where: str) -> tuple[str, ...]:
     place, uncertainty = whole(names, PLACES, where), whole(names, UNCERTAINTIES, where)
     if uncertainty and not place:
         raise InputError(where, f"{uncertainty[0]} without an a-priori place", "x_m, y_m and z_m, or others")
-    if uncertainty == NORMAL and place != GEODETIC:
-        raise InputError(where, "sigma_height_m without height_m", "sigma_radius_m")
+    require(uncertainty != NORMAL or place == GEODETIC, where, "sigma_height_m without height_m", "sigma_radius_m")
     return names
 
 

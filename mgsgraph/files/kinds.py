@@ -12,7 +12,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Literal
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.altimetry.binary import FRAME, RECORD, is_lola_rdr
 from mgsgraph.files.altimetry.tables import LOLA_ROW, is_archive
 from mgsgraph.files.cameras.label import REMEDY_FOR_MAPS, label_of
@@ -147,8 +147,7 @@ def _is_list(path: Path, text: str) -> bool:
 def listed_names(path: Path) -> list[str]:
     """Names in an ISIS list, one file in every line, relative to its folder; InputError unless all are there."""
     names = _named_in(read_text(path, limit=_LARGEST_LIST))
-    if not names:
-        raise InputError(str(path), "no file", "the name of an image file in every line")
+    require(names, str(path), "no file", "the name of an image file in every line")
     for number, name in names:
         if not os.path.isfile(path.parent / name):
             expected = "a file, relative to the list's folder"

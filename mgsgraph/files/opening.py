@@ -20,7 +20,7 @@ from io import BufferedReader
 from pathlib import Path
 from typing import Any
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.geometry.records import LONGEST_NAME
 
 LARGEST = 1 << 32
@@ -99,8 +99,7 @@ def _regular(path: Path, limit: int) -> int:
     if not kind and status.st_size <= limit:
         return descriptor
     os.close(descriptor)
-    if kind:
-        raise InputError(str(path), kind, "a file")
+    require(not kind, str(path), kind, "a file")
     raise InputError(str(path), f"{status.st_size / 1e6:.0f} MB", f"at most {limit / 1e6:.0f} MB of such a file")
 
 
@@ -110,8 +109,7 @@ def read_bytes(path: Path, limit: int = LARGEST) -> bytes:
         content = file.read(os.fstat(file.fileno()).st_size + 1)
         while len(content) <= limit and (more := file.read(_PIECE)):  # those of /proc don't say how long they are
             content += more
-    if len(content) > limit:
-        raise InputError(str(path), "a file without an end", f"at most {limit / 1e6:.0f} MB")
+    require(len(content) <= limit, str(path), "a file without an end", f"at most {limit / 1e6:.0f} MB")
     return content
 
 

@@ -14,7 +14,7 @@ from typing import Literal
 
 import numpy as np
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.csv_columns import (
     GEODETIC,
     ISIS,
@@ -104,8 +104,7 @@ def read_places(path: Path, body: Ellipsoid, sort: Sort | None = None) -> PlaceT
         raise InputError(f"{path}, {table.header}", "image places and ground places", "one of them", remedy)
     if not (pixel if sort == "image" else ground if sort == "ground" else pixel or ground):
         raise InputError(f"{path}, {table.header}", f"the columns {', '.join(table.values)[:80]}", _WANTED)
-    if not table.numbers.size:
-        raise InputError(str(path), "a header alone", "places below it")
+    require(table.numbers.size, str(path), "a header alone", "places below it")
 
     def where(row: int, name: str) -> str:
         return f"{table.where(row)}, {name}"

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from mgsgraph.atomic_write import lock, made_beside, put_file
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.opening import head_of, json_object, read_bytes
 
 _HEAD = 1 << 14
@@ -54,8 +54,7 @@ def require_folder_above(path: Path, shown: str, remedy: str = "") -> None:
     seen.
     """
     first = next(parent for parent in path.parents if parent.exists())
-    if not first.is_dir():
-        raise InputError(shown, f"can't be written ({first} is a file)", "a folder to make it in", remedy)
+    require(first.is_dir(), shown, f"can't be written ({first} is a file)", "a folder to make it in", remedy)
 
 
 @contextmanager
@@ -124,8 +123,7 @@ def write_files(folder: Path, contents: Mapping[str, str | bytes]) -> list[Path]
 
 def claim(descriptor: int, path: Path, found: str) -> None:
     """Lock an open file, as long as it is open; InputError with `found` where another process has."""
-    if not lock(descriptor):
-        raise InputError(str(path), found, remedy="wait for it, or choose another --out")
+    require(lock(descriptor), str(path), found, remedy="wait for it, or choose another --out")
 
 
 @contextmanager

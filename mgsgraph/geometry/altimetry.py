@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.geometry.body import Ellipsoid, distances, nearness, require_near, surface_radii
 from mgsgraph.geometry.records import (
     Array,
@@ -508,9 +508,6 @@ def _with_gaps(value: Array, where: str, shape: tuple[int, ...]) -> Array:
     is not copied.
     """
     array = of_kind(value, np.float64)
-    if array.shape != shape:
-        raise InputError(where, f"an array of shape {array.shape}", f"shape {shape}")
-    if np.any(np.isinf(array)):
-        raise InputError(where, "an infinite value", "finite numbers, or NaN where unknown")
-    array.flags.writeable = False
-    return array
+    require(array.shape == shape, where, f"an array of shape {array.shape}", f"shape {shape}")
+    require(not np.any(np.isinf(array)), where, "an infinite value", "finite numbers, or NaN where unknown")
+    return read_only(array)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.record import Record
@@ -129,8 +129,7 @@ def require_possible(body: Ellipsoid, target: str, where: str) -> None:
         return
     equatorial, polar = (KM * radius for radius in _BODIES[name][1:])
     possible = abs(body.equatorial / equatorial - 1.0) < _OFF and body.polar > (1.0 - _OFF) * polar
-    if not possible:
-        raise InputError(where, size, f"those of {name}: {equatorial / KM:g} and {polar / KM:g} km", unit)
+    require(possible, where, size, f"those of {name}: {equatorial / KM:g} and {polar / KM:g} km", unit)
 
 
 def require_near(radii: Array, body: Ellipsoid, where: Callable[[int], str]) -> None:

@@ -19,7 +19,7 @@ import shapely
 import shapely.geometry
 from numpy.typing import NDArray
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.geometry.body import Ellipsoid, planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
@@ -346,8 +346,7 @@ def _directions(footprints: Sequence[Footprint]) -> tuple[Array, float]:
         found = f"an ellipsoid of {body.equatorial:g} x {body.polar:g} m"
         raise InputError(f"footprint of {footprints[0].name}", found, "one that is a body's")
     for other in footprints:
-        if other.body != body:
-            raise InputError(f"footprint of {other.name}", "another body than the first one's", "one body")
+        require(other.body == body, f"footprint of {other.name}", "another body than the first one's", "one body")
     longest = max(max(footprint.outline.shape[0] for footprint in footprints), 1)
     outlines = np.zeros((len(footprints), longest, 3))
     outlines[:, :, 0] = 1.0

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, ClassVar, Protocol
 
 import numpy as np
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.factors.algebra import transform
 from mgsgraph.factors.collinearity import (
     by_interior,
@@ -60,8 +60,7 @@ class LineTiming(Record):
         if lines.size == 0 or np.any(np.diff(lines) <= 0.0):
             raise InputError("line timing, first lines", f"{lines.tolist()}", "at least one, increasing")
         periods = frozen(self.periods, "line timing, periods", (lines.size,))
-        if np.any(periods <= 0.0):
-            raise InputError("line timing, periods", f"{periods.min()} s per line", "positive periods")
+        require(np.all(periods > 0.0), "line timing, periods", f"{periods.min()} s per line", "positive periods")
         starts = frozen(self.start_times, "line timing, start times", (lines.size,))
         if np.any(np.diff(starts) <= 0.0):
             raise InputError("line timing, start times", "times that go back", "increasing start times")
@@ -158,8 +157,7 @@ class PushbroomImage(Record):
         return np.array([0.5 * self.lines]), np.array([0.5 * self.samples])
 
     def __post_init__(self) -> None:
-        if not self.name:
-            raise InputError("image", "an empty name", "the name by which networks refer to it")
+        require(self.name, "image", "an empty name", "the name by which networks refer to it")
         if self.lines < 1 or self.samples < 1:
             raise InputError(f"image {self.name}", f"{self.lines} x {self.samples} lines x samples", "at least 1 x 1")
         edges, period = self.timing.at(np.array([0.0, float(self.lines)]))
@@ -353,8 +351,7 @@ class PolynomialTrajectory:
             raise InputError(where, f"{self.start} .. {self.stop} s past {self.epoch} s", "finite, start before stop")
         position = frozen(self.position, f"{where}, position", (None, 3))
         angles = frozen(self.angles, f"{where}, angles", (None, 3))
-        if not position.size or not angles.size:
-            raise InputError(where, "no coefficients", "at least the constant ones")
+        require(position.size and angles.size, where, "no coefficients", "at least the constant ones")
         assign(self, position=position, angles=angles)
         if self.spin is not None:
             assign(self, spin=frozen(self.spin, f"{where}, spin", (3,)))

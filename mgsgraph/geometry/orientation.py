@@ -22,10 +22,10 @@ from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.factors.pose import opk_paper, opk_peer
 from mgsgraph.geometry import rotation
-from mgsgraph.geometry.records import Array, Index, assign, frozen
+from mgsgraph.geometry.records import Array, Index, assign, frozen, read_only
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.record import Record
 
@@ -160,8 +160,7 @@ def evenly_spaced(basis: Basis, epoch: float, coverage: tuple[float, float], spa
     start, stop = coverage
     if not (np.isfinite(spacing) and spacing > 0.0):
         raise InputError("orientation images, spacing", f"{spacing} s", "a positive number of seconds")
-    if not start < stop:
-        raise InputError("orientation images", f"a pass from {start} to {stop} s", "a start before the stop")
+    require(start < stop, "orientation images", f"a pass from {start} to {stop} s", "a start before the stop")
     intervals = max(int(np.ceil((stop - start) / spacing - 1e-9)), SUPPORT - 1)
     step = (stop - start) / intervals
     return OrientationImages(basis, epoch, np.asarray(start + step * np.arange(intervals + 1, dtype=np.float64)))
@@ -255,8 +254,7 @@ class OrientationPrior(Record):
             raise InputError("orientation prior", f"shape {sigmas.shape}", "(degree + 1, 6)")
         if np.any(np.isnan(sigmas)) or np.any(sigmas <= 0.0):
             raise InputError("orientation prior", f"sigma {sigmas[~(sigmas > 0.0)][0]}", "positive sigmas")
-        sigmas.flags.writeable = False
-        assign(self, sigmas=sigmas)
+        assign(self, sigmas=read_only(sigmas))
 
     @property
     def degree(self) -> int:

@@ -6,7 +6,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.names import Names
 
 _Scalar = TypeVar("_Scalar", bound=np.generic)
@@ -45,9 +45,7 @@ def read_only(array: NDArray[_Scalar]) -> NDArray[_Scalar]:
 
 def repeated(value: ArrayLike, shape: tuple[int, ...]) -> Array:
     """Read-only array of a shape that holds one value again and again, in the memory of one."""
-    element = np.array(value, dtype=np.float64)
-    element.flags.writeable = False
-    return np.broadcast_to(element, shape)
+    return np.broadcast_to(read_only(np.array(value, dtype=np.float64)), shape)
 
 
 def repeats(values: NDArray[Any]) -> bool:
@@ -60,6 +58,13 @@ def thinned(size: int, most: int | None) -> Index:
     if most is None or size <= most:
         return np.arange(size)
     return np.linspace(0, size - 1, most).astype(np.int64)
+
+
+def place_of(rows: NDArray[np.integer[Any]], size: int) -> Index:
+    """(size,) place of each number in `rows` (m,), all different; -1 for one that is not there."""
+    place = np.full(size, -1)
+    place[rows] = np.arange(rows.size)
+    return place
 
 
 def chosen_rows(values: NDArray[_Scalar], rows: Index | Mask) -> NDArray[_Scalar]:
@@ -108,8 +113,7 @@ def frozen(value: ArrayLike, where: str, shape: tuple[int | None, ...]) -> Array
         bad = np.argwhere(~np.isfinite(array))[0]
         place = ", ".join(str(k) for k in bad)
         raise InputError(where, f"{array[tuple(bad)]} at [{place}]", "finite numbers")
-    array.flags.writeable = False
-    return array
+    return read_only(array)
 
 
 def frozen_index(value: ArrayLike, where: str, size: int, upper: int) -> Index:
@@ -121,25 +125,19 @@ def frozen_index(value: ArrayLike, where: str, size: int, upper: int) -> Index:
         given = given.reshape(-1)
         numbers = given.size == 0 or given.dtype.kind in "iuf"
         whole = given.dtype.kind == "i" or (numbers and np.all(np.abs(given) < 2.0**53) and np.all(given % 1 == 0))
-        if not whole:
-            raise InputError(where, f"{given.dtype} values {given[:3].tolist()}", "whole numbers")
+        require(whole, where, f"{given.dtype} values {given[:3].tolist()}", "whole numbers")
         given = given.astype(np.int64)
-    array = given
-    if array.shape != (size,):
-        raise InputError(where, f"{array.size} indices", f"{size}")
-    if array.size and (array.min() < 0 or array.max() >= upper):
-        raise InputError(where, f"index {array.min()} .. {array.max()}", f"0 .. {upper - 1}")
-    array.flags.writeable = False
-    return array
+    require(given.shape == (size,), where, f"{given.size} indices", f"{size}")
+    if given.size and (given.min() < 0 or given.max() >= upper):
+        raise InputError(where, f"index {given.min()} .. {given.max()}", f"0 .. {upper - 1}")
+    return read_only(given)
 
 
 def frozen_mask(value: ArrayLike | None, where: str, size: int) -> Mask:
     """Read-only marks (size,), none set when absent; `where` names them in errors."""
     mask: Mask = np.zeros(size, dtype=np.bool_) if value is None else of_kind(value, np.bool_)
-    if mask.shape != (size,):
-        raise InputError(where, f"shape {mask.shape}", f"one for each of {size}")
-    mask.flags.writeable = False
-    return mask
+    require(mask.shape == (size,), where, f"shape {mask.shape}", f"one for each of {size}")
+    return read_only(mask)
 
 
 def assign(record: Any, **fields: Any) -> None:

@@ -15,11 +15,11 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.factors.surface import bilinear, cubic, height_above, post_coordinates
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import from_planetocentric, in_turn, planetocentric
-from mgsgraph.geometry.records import Array, Index, Mask, assign
+from mgsgraph.geometry.records import Array, Index, Mask, assign, read_only
 from mgsgraph.record import Record
 
 
@@ -215,12 +215,10 @@ class TerrainGrid(Record):
     def __post_init__(self) -> None:
         where = f"terrain {self.source}"
         radii = np.array(self.radii, dtype=np.float32 if np.asarray(self.radii).dtype == np.float32 else np.float64)
-        if radii.ndim != 2 or min(radii.shape) < 2:
-            raise InputError(where, f"posts of shape {radii.shape}", "at least 2 x 2")
+        require(radii.ndim == 2 and min(radii.shape) >= 2, where, f"posts of shape {radii.shape}", "at least 2 x 2")
         if self.kind not in get_args(TerrainKind):
             raise InputError(f"{where}, kind", repr(self.kind), f"one of {', '.join(get_args(TerrainKind))}")
-        if np.any(np.isinf(radii)):
-            raise InputError(where, "an infinite post", "metres, or NaN where a post is missing")
+        require(not np.any(np.isinf(radii)), where, "an infinite post", "metres, or NaN where a post is missing")
         if self.kind in ("radius", "areoid") and np.nanmin(radii, initial=np.inf) <= 0.0:
             raise InputError(where, f"a {self.kind} of {np.nanmin(radii):g} m", "positive numbers")
         for name in ("longitude_step", "latitude_step"):
@@ -247,8 +245,7 @@ class TerrainGrid(Record):
                     raise InputError(f"{where}, gaps between tracks", found, expected)
                 gap.flags.writeable = False
             assign(self, gaps=gaps)
-        radii.flags.writeable = False
-        assign(self, radii=radii)
+        assign(self, radii=read_only(radii))
 
     def _cell(self, longitudes: Array, latitudes: Array) -> tuple[Index, Index, Index, Array, Array, Mask]:
         """Row and columns (left, right) of the cells of places (n,), fractions southward and eastward, and which of the
@@ -406,8 +403,7 @@ class TerrainGrid(Record):
         return self.radii.shape == other.radii.shape and bool(difference < _SAME_PLACE)
 
     def _require(self, kind: TerrainKind, what: str) -> None:
-        if self.kind != kind:
-            raise InputError(f"terrain {self.source}", f"a grid of {self.kind}", f"a grid of {kind} for {what}")
+        require(self.kind == kind, f"terrain {self.source}", f"a grid of {self.kind}", f"a grid of {kind} for {what}")
 
     def __repr__(self) -> str:
         rows, columns = self.radii.shape

@@ -21,7 +21,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.geometry.terrain import Gaps, TerrainGrid
 
@@ -86,8 +86,7 @@ def above_areoid(heights: TerrainGrid, areoid: TerrainGrid) -> TerrainGrid:
     Posts beside the areoid's grid become missing ones.
     """
     where = f"terrain {heights.source}"
-    if heights.kind != "topography":
-        raise InputError(where, f"a grid of {heights.kind}", "heights above the areoid")
+    require(heights.kind == "topography", where, f"a grid of {heights.kind}", "heights above the areoid")
     if areoid.kind != "areoid":
         raise InputError(f"terrain {areoid.source}", f"a grid of {areoid.kind}", "a grid of the areoid's radius")
     rows, columns = heights.radii.shape

@@ -23,7 +23,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from mgsgraph.errors import EphemerisGap, InputError
+from mgsgraph.errors import EphemerisGap, InputError, require
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.records import Array, assign, frozen, read_only
 from mgsgraph.names import Names, RepeatedNames
@@ -31,8 +31,7 @@ from mgsgraph.record import Record
 
 
 def _check_times(times: Array, where: str) -> None:
-    if times.size < 2:
-        raise InputError(where, f"{times.size} samples", "at least 2")
+    require(times.size >= 2, where, f"{times.size} samples", "at least 2")
     step = np.diff(times)
     if np.any(step <= 0.0):
         k = int(np.argmax(step <= 0.0))
@@ -94,17 +93,14 @@ class AttitudeTable(Record):
         if large or np.abs(constant @ constant.T - np.eye(3)).max() > 1e-6 or np.linalg.det(constant) < 0.0:
             raise InputError("attitude table, constant rotation", "a matrix that is no rotation", "orthonormal rows")
         unit = quaternions / norm[:, None]
-        unit.flags.writeable = False
-        assign(self, times=times, quaternions=unit, constant=read_only(np.ascontiguousarray(constant)))
+        assign(self, times=times, quaternions=read_only(unit), constant=read_only(np.ascontiguousarray(constant)))
 
     @cached_property
     def turns(self) -> Array:
         """(n - 1, 3) rad, how the sampled frame turns from each sample to the next, in its own axes."""
         matrices = rotation.to_matrix(self.quaternions)
         # C(t) = Exp(-turn s) C0: the frame turns by +turn, components turn back
-        turns = -rotation.logarithm(matrices[1:] @ np.swapaxes(matrices[:-1], 1, 2))
-        turns.flags.writeable = False
-        return turns
+        return read_only(-rotation.logarithm(matrices[1:] @ np.swapaxes(matrices[:-1], 1, 2)))
 
     def at(self, times: Array) -> tuple[Array, Array]:
         """Matrix (n, 3, 3) inertial to wanted frame, and its angular velocity (n, 3) in rad/s in the wanted frame."""
@@ -180,14 +176,12 @@ class Trajectory(Record):
     """Inertial to body-fixed frame."""
 
     def __post_init__(self) -> None:
-        if not np.isfinite(self.epoch):
-            raise InputError("trajectory, epoch", f"{self.epoch}", "s TDB past J2000")
+        require(np.isfinite(self.epoch), "trajectory, epoch", f"{self.epoch}", "s TDB past J2000")
         start, stop = self.coverage
-        if start >= stop:
-            raise InputError(
-                "trajectory", f"one table begins {start - stop:.6f} s after another has ended",
-                "position, attitude and body rotation at the same times",
-            )
+        require(
+            start < stop, "trajectory", f"one table begins {start - stop:.6f} s after another has ended",
+            "position, attitude and body rotation at the same times",
+        )  # fmt: skip
 
     @property
     def coverage(self) -> tuple[float, float]:

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.matching.patches import Links, Window, concatenated, features_on, links_on, tiling
@@ -310,13 +310,11 @@ def _joined(
     """The scene with the second picture corrected, by links on the coarse grid."""
     first, second = (scene.pictures[j] for j in pair[:2])
     radius = max(settings.search or search_radius(first, second, scene), _LEAST_SEARCH * step)
-    if radius > _WIDEST_SEARCH * step:
-        raise InputError(
-            f"images {first.image.name} and {second.image.name}",
-            f"{radius:.4g} m of ground to search either way, {radius / step:.0f} pixels of the coarse grid",
-            f"at most {_WIDEST_SEARCH}",
-            "give smaller a-priori sigmas, --search METRES, or a coarser grid (--step METRES)",
-        )
+    require(
+        radius <= _WIDEST_SEARCH * step, f"images {first.image.name} and {second.image.name}",
+        f"{radius:.4g} m of ground to search either way, {radius / step:.0f} pixels of the coarse grid",
+        f"at most {_WIDEST_SEARCH}", "give smaller a-priori sigmas, --search METRES, or a coarser grid (--step METRES)",
+    )  # fmt: skip
     links = _coarse_links(scene, pair, settings, step, radius)
     return corrected_scene(scene, pair, links, step, radius, np.random.default_rng([settings.seed, *pair[:2]]))
 

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.compiled import compiled
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
+from mgsgraph.geometry.records import read_only
 
 GOOD, EXTREME, MISSING = 0, 1, 2
 """Marks of a pixel: a measured grey value; one at an end of the scale; none (NaN)."""
@@ -48,8 +49,7 @@ class SplinePicture:
         if pixels.ndim != 2 or pixels.dtype.kind not in "uif" or min(pixels.shape) < 4:
             raise InputError(where, f"{pixels.dtype} of shape {pixels.shape}", "(lines, samples) of at least 4 x 4")
         marks = _marks(pixels)
-        if np.all(marks == MISSING):
-            raise InputError(where, "no pixel with a grey value", "a picture")
+        require(not np.all(marks == MISSING), where, "no pixel with a grey value", "a picture")
         return cls(_filtered(_without_gaps(pixels, marks)), marks)
 
     @property
@@ -84,9 +84,7 @@ def _filtered(pixels: NDArray[Any]) -> NDArray[np.float32]:
     from scipy.ndimage import spline_filter  # heavy
 
     inner = spline_filter(pixels, order=3, output=np.float32, mode="mirror")
-    padded = np.pad(inner, (MARGIN, MARGIN), mode="reflect")
-    padded.flags.writeable = False
-    return padded
+    return read_only(np.pad(inner, (MARGIN, MARGIN), mode="reflect"))
 
 
 # --- equations

@@ -14,7 +14,7 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.tie_points import PointKind, TiePoints
-from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen
+from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen, place_of
 from mgsgraph.matching.checks import cell_numbers, checked_measures, pair_signs, spread
 from mgsgraph.matching.coarse import Agreement, Aligned, aligned_pictures, window
 from mgsgraph.matching.least_squares import MatchStatus
@@ -127,8 +127,7 @@ def matches_of(
     distinct ones, in the order in which points are numbered.
     """
     tracks, begin, inverse = np.unique(measures.track, return_index=True, return_inverse=True)
-    rank = np.empty(tracks.size, dtype=np.int64)
-    rank[order] = np.arange(tracks.size)
+    rank = place_of(order, tracks.size)
     back = np.linalg.inv(measures.affine)
     shared = 0.5 * back @ measures.covariances @ np.swapaxes(back, 1, 2)
     count = np.bincount(inverse, minlength=tracks.size)

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.geometry.body import Ellipsoid, intersect_ellipsoid
 from mgsgraph.geometry.footprint import Footprint, footprint, overlaps
 from mgsgraph.geometry.image import PushbroomImage
@@ -189,8 +189,7 @@ class Picture(Record):
         some = self.pixels[::stride, ::stride]
         some = some[np.isfinite(some)].astype(np.float64)
         where, remedy = f"picture of {self.image.name}", "leave the image out"
-        if some.size == 0:
-            raise InputError(where, "no valid pixels", "a picture", remedy)
+        require(some.size != 0, where, "no valid pixels", "a picture", remedy)
         low, high = np.quantile(some, [0.005, 0.995])
         for value, name in ((some.min(), "darkest"), (some.max(), "brightest")):
             share = float(np.mean(some == value))
@@ -305,11 +304,10 @@ def pairs_of(scene: Scene) -> list[Pair]:
         Where there is none.
     """
     shared = overlaps(footprints(scene))
-    if not len(shared.pairs):
-        raise InputError(
-            scene.where, "no two of them overlap (by their nominal orientation)", "images of common ground",
-            "check the images and their kernels",
-        )
+    require(
+        len(shared.pairs), scene.where, "no two of them overlap (by their nominal orientation)",
+        "images of common ground", "check the images and their kernels",
+    )  # fmt: skip
     return [Pair(int(i), int(j), float(area)) for (i, j), area in zip(shared.pairs, shared.areas, strict=True)]
 
 

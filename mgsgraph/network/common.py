@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import require
 from mgsgraph.geometry.records import Array, Index, assign, frozen, frozen_index
 from mgsgraph.network.records import ImageRays, LinearRows, Surface
 from mgsgraph.record import Record
@@ -52,8 +52,7 @@ class CommonErrors(Record):
     def __post_init__(self) -> None:
         m, g = np.size(self.members), np.size(self.widths)
         members = frozen_index(self.members, "common errors, rows", m, 2**31)
-        if np.unique(members).size != m:
-            raise InputError("common errors, rows", "a row of two groups", "each once")
+        require(np.unique(members).size == m, "common errors, rows", "a row of two groups", "each once")
         group = frozen_index(self.group, "common errors, groups", m, max(g, 1))
         loads = frozen(self.loads, "common errors, loads", (m, np.shape(self.loads)[-1]))
         widths = frozen_index(self.widths, "common errors, widths", g, loads.shape[1] + 1)

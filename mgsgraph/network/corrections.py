@@ -40,7 +40,7 @@ from mgsgraph.geometry.orientation import (
     evenly_spaced,
     polynomial,
 )
-from mgsgraph.geometry.records import Array, Index, Mask, assign
+from mgsgraph.geometry.records import Array, Index, Mask, assign, place_of, read_only
 from mgsgraph.geometry.trajectory import utc_of_tdb
 from mgsgraph.network.network import Network
 from mgsgraph.network.shared import SharedKind, SharedUnknown, image_effect
@@ -301,8 +301,7 @@ class PassRays:
 def pass_rays(network: Network, number: int) -> PassRays:
     """All rays of a pass's images."""
     pass_ = network.passes[number]
-    place = np.full(len(network.images), -1)
-    place[pass_.images] = np.arange(pass_.images.size)
+    place = place_of(pass_.images, len(network.images))
     rays = np.flatnonzero(place[network.rays.image] >= 0)
     line, times, looks = place[network.rays.image[rays]], np.empty(rays.size), np.empty((pass_.images.size, 2))
     for k, j in enumerate(pass_.images.tolist()):
@@ -332,9 +331,7 @@ class Support:
 
     def __post_init__(self) -> None:
         for name in ("rays", "lines", "looking"):
-            value = np.array(getattr(self, name), dtype=np.int64)
-            value.flags.writeable = False
-            assign(self, **{name: value})
+            assign(self, **{name: read_only(np.array(getattr(self, name), dtype=np.int64))})
 
     @property
     def weak(self) -> Mask:

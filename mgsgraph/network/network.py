@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior, Sine
@@ -96,8 +96,7 @@ class Network(Record):
 
     def __post_init__(self) -> None:
         n, m = len(self.points), len(self.images)
-        if m == 0:
-            raise InputError("network", "no images", "at least one")
+        require(m != 0, "network", "no images", "at least one")
         require_names(tuple(image.name for image in self.images), "images")
         if len(self.priors) != m:
             raise InputError("network", f"{len(self.priors)} orientation priors", f"one for each of {m} images")
@@ -147,8 +146,7 @@ class Network(Record):
         if self.crossovers is not None:
             profiles = np.zeros(n) if self.shifts is None else np.asarray(self.shifts.profile) + 1.0
             shots = frozen_index(self.crossovers.shots, "crossovers, shots", self.crossovers.shots.size, n)
-            if not np.all(profiles[shots] > 0):
-                raise InputError("crossovers", "shots of no profile", "profiles with an unknown shift")
+            require(np.all(profiles[shots] > 0), "crossovers", "shots of no profile", "profiles with an unknown shift")
 
     def _require_considered(self) -> None:
         require_names(self.considered, "considered unknowns")
@@ -205,8 +203,7 @@ class Network(Record):
                     expected = "an image of the network, of one pass alone"
                     raise InputError(f"{where}, images", f"image {j}", expected)
                 image = self.images[j]
-                if self.held[j]:
-                    raise InputError(f"{where}, image {image.name}", "it is held", "images that are adjusted")
+                require(not self.held[j], f"{where}, image {image.name}", "it is held", "images that are adjusted")
                 edges, period = image.timing.at(np.array([0.0, float(image.lines)]))
                 if not pass_.whole:
                     continue
@@ -262,8 +259,7 @@ class Network(Record):
                 rows = "range" if unknown.kind is SharedKind.RANGE_BIAS else "measured point"
                 observed = unknown.kind.acts_on_rays and bool(np.any(np.isin(self.rays.image, unknown.images)))
                 observed |= unknown.kind.acts_on_ranges and bool(np.any(np.isin(self.ranges.image, unknown.images)))
-            if not observed:
-                raise InputError(where, f"no {rows} of its images", "some that depend on it", "take it out")
+            require(observed, where, f"no {rows} of its images", "some that depend on it", "take it out")
 
     def _require_resolved(self, unknown: SharedUnknown, sine: Sine, where: str) -> None:
         """Raise InputError for a vibration that lines or rays don't sample, or nearer to another one than its time

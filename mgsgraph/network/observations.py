@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.networks.tie_points import PointKind, TiePoints
 from mgsgraph.geometry.altimetry import (
     SPOT_WIDTHS,
@@ -92,10 +92,8 @@ def _of_ties(images: Mapping[str, KnownImage], ties: TiePoints, sigma: float) ->
     sigmas = np.where(np.isnan(ties.measure_sigmas), sigma, ties.measure_sigmas)
     classes = np.full(len(ties.ids), int(PointClass.TIE))
     points = GroundPoints(ties.ids, classes, ties.kinds, ties.places, ties.covariances)
-    nothing = np.zeros(0)
-    ranges = Ranges(nothing.astype(int), nothing.astype(int), nothing, nothing, nothing)
     rays = ImageRays(ties.measure_point, image, ties.measures, sigmas)
-    return _network([images[name] for name in names], points, rays, ranges, ties.source)
+    return _network([images[name] for name in names], points, rays, Ranges.none(), ties.source)
 
 
 def _of_shots(images: Mapping[str, KnownImage], profile: LaserProfile, sigma: float) -> Network:
@@ -357,8 +355,7 @@ def posts_of(model: TerrainModel, least: float) -> Posts:
     """
     lattice = model.lattice
     present = np.isfinite(lattice.values)
-    if not np.any(present):
-        raise InputError(f"terrain {lattice.source}", "no post", "a model of the images' ground")
+    require(np.any(present), f"terrain {lattice.source}", "no post", "a model of the images' ground")
     sides = _sides(lattice)
     wanted = max(least, *sides.tolist())
     high, wide = np.maximum(np.rint(wanted / sides), 1.0).astype(int).tolist()

@@ -7,11 +7,11 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import SUPPORT, OrientationPrior
-from mgsgraph.geometry.records import Array, Index, Mask, chosen_rows, concatenated
+from mgsgraph.geometry.records import Array, Index, Mask, chosen_rows, concatenated, place_of
 from mgsgraph.names import Names
 from mgsgraph.network.joining import NamedPass, definitions, united, with_definitions
 from mgsgraph.network.network import Network
@@ -106,11 +106,10 @@ def require_separable(network: Network) -> None:
             "crossovers of laser profiles", "rows of several profiles in what is adjusted image by image",
             "profiles by themselves", "register them without (`mgsgraph align --no-crossovers`)",
         )
-    if network.linear:
-        raise InputError(
-            "network", "factors of your own on shared unknowns in what is adjusted image by image",
-            "a network without them", "adjust it as a whole",
-        )
+    require(
+        not network.linear, "network", "factors of your own on shared unknowns in what is adjusted image by image",
+        "a network without them", "adjust it as a whole",
+    )  # fmt: skip
     if network.surface is not None and network.surface.raised:
         raise InputError(
             f"terrain {network.surface.grid.source}", "an unknown height or tilt in what is adjusted image by image",
@@ -124,7 +123,7 @@ def alone(image: KnownImage) -> Network:
     nothing, none = np.zeros(0, dtype=np.int64), np.zeros((0, 3))
     points = GroundPoints(Names.of(()), nothing, nothing, none, np.zeros((0, 3, 3)))
     rays = ImageRays(nothing, nothing, np.zeros((0, 2)), np.zeros((0, 2)))
-    return Network(*image_columns([image]), points, rays, Ranges(nothing, nothing, *np.zeros((3, 0))))
+    return Network(*image_columns([image]), points, rays, Ranges.none())
 
 
 def select_points(network: Network, points: Index | Sequence[str]) -> Network:
@@ -156,8 +155,7 @@ def select_points(network: Network, points: Index | Sequence[str]) -> Network:
         points = np.array([network.point_number(point) for point in points], dtype=np.int64)
     for number in points[(points < 0) | (points >= len(network.points))][:1].tolist():
         network.point_number(number)  # says which numbers there are
-    place = np.full(len(network.points), -1)
-    place[points] = np.arange(points.size)
+    place = place_of(points, len(network.points))
     rays, ranges = np.flatnonzero(place[network.rays.point] >= 0), np.flatnonzero(place[network.ranges.point] >= 0)
     return _part(network, points, rays, ranges, place)
 
@@ -166,11 +164,10 @@ def thinned(network: Network, points: Index, rays: Mask, ranges: Mask) -> Networ
     """Some points (m,) of a network with those of some rays (k,) and ranges (r,) that are theirs, beside all of its
     images and shared unknowns; without crossovers and rows of the user's own.
     """
-    place = np.full(len(network.points), -1)
-    place[points] = np.arange(points.size)
+    place = place_of(points, len(network.points))
     old, shifts, surface = network.points, network.shifts, network.surface
-    chosen, number = np.flatnonzero((place[network.rays.point] >= 0) & rays), np.full(network.rays.point.size, -1)
-    measured, number[chosen] = network.rays.chosen(chosen), np.arange(chosen.size)
+    chosen = np.flatnonzero((place[network.rays.point] >= 0) & rays)
+    measured, number = network.rays.chosen(chosen), place_of(chosen, network.rays.point.size)
     shot = network.ranges.chosen(np.flatnonzero((place[network.ranges.point] >= 0) & ranges))
     covariances, (of_rays, of_heights) = chosen_rows(old.covariances, points), network.common_of(number, place)
     return replace(
@@ -221,9 +218,7 @@ def _part(network: Network, points: Index, rays: Index, ranges: Index, place: In
 def _renumbered(*used: Index) -> tuple[Index, Index]:
     """The images used, ascending, and (images,) the new number of each."""
     present = np.unique(np.concatenate(used))
-    number = np.full(int(present.max(initial=-1)) + 1, -1)
-    number[present] = np.arange(present.size)
-    return present, number
+    return present, place_of(present, int(present.max(initial=-1)) + 1)
 
 
 def _shifts_of(network: Network, points: Index) -> ProfileShifts | None:

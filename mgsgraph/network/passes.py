@@ -24,9 +24,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.geometry.orientation import SUPPORT, OrientationImages
-from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen, frozen_index
+from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen, frozen_index, read_only
 from mgsgraph.network.conditioning import Conditionals, Process, conditionals, variances
 from mgsgraph.record import Record
 
@@ -111,8 +111,7 @@ class NodePrior(BiasAndDrift):
         sigmas.flags.writeable = False
         bias, drift = frozen(self.bias, "node prior, bias", (6,)), frozen(self.drift, "node prior, drift", (6,))
         for name, trend in (("bias", bias), ("drift", drift)):
-            if trend.min() < 0.0:
-                raise InputError(f"node prior, {name}", f"{trend.min()}", "sigmas, or 0 for none")
+            require(trend.min() >= 0.0, f"node prior, {name}", f"{trend.min()}", "sigmas, or 0 for none")
             for c in np.flatnonzero((trend > 0.0) & np.isinf(sigmas))[:1]:
                 found = f"sigma {trend[c]} of component {c} whose nodes have none"
                 raise InputError(f"node prior, {name}", found, "a sigma of the nodes, too", "leave it out")
@@ -175,8 +174,7 @@ class PolynomialPrior(BiasAndDrift):
                 raise InputError(where, f"shape {given.shape}", "(degree + 1, 3), of a degree of 0 to 3")
             if np.any(np.isnan(given)) or given.min() < 0.0:
                 raise InputError(where, f"{given.tolist()}", "sigmas, not negative")
-            given.flags.writeable = False
-            assign(self, **{name: given})
+            assign(self, **{name: read_only(given)})
 
     @property
     def polynomial(self) -> bool:
@@ -382,8 +380,7 @@ class Pass(Record):
     polynomial, which holds before and after them."""
 
     def __post_init__(self) -> None:
-        if not self.name:
-            raise InputError("pass", "an empty name", "what to call it")
+        require(self.name, "pass", "an empty name", "what to call it")
         images = frozen_index(self.images, f"pass {self.name!r}, images", np.size(self.images), 2**31)
         if images.size == 0 or np.unique(images).size != images.size:
             raise InputError(f"pass {self.name!r}, images", f"{images.tolist()[:10]}", "at least one, each once")

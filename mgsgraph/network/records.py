@@ -17,7 +17,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.body import east_north, east_north_up
 from mgsgraph.geometry.intersection import crossing, gradient
@@ -87,8 +87,7 @@ class GroundPoints(Record):
         require_names(self.ids, "ground points")
         kinds = frozen_index(self.kinds, "ground points, kinds", n, len(PointKind))
         places = of_kind(self.places, np.float64)
-        if places.shape != (n, 3):
-            raise InputError("ground points, places", f"an array of shape {places.shape}", f"shape ({n}, 3)")
+        require(places.shape == (n, 3), "ground points, places", f"an array of shape {places.shape}", f"shape ({n}, 3)")
         for i in np.flatnonzero(np.any(np.isinf(places), axis=1))[:1]:
             raise InputError(f"ground point {self.ids[i]}", "an infinite place", "metres, or NaN where unknown")
         located = np.all(np.isfinite(places), axis=1)
@@ -163,6 +162,11 @@ class Ranges(Record):
     shares: Array | None = None
     """(r, 3) m per m, how much of the error of its point's a-priori position each has, too
     (`LaserProfile.shares`); `sigmas` are then of the rest."""
+
+    @staticmethod
+    def none() -> "Ranges":
+        """No range."""
+        return Ranges(*np.zeros((2, 0), dtype=np.int64), *np.zeros((3, 0)))
 
     def chosen(self, rows: Index | Mask) -> "Ranges":
         """Some of them."""

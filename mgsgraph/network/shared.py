@@ -16,7 +16,7 @@ from functools import cache
 
 import numpy as np
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import Angles, Moments, Sine
@@ -170,8 +170,7 @@ class SharedUnknown(Record):
 
     def __post_init__(self) -> None:
         where = f"shared unknown {self.name!r}"
-        if not self.name:
-            raise InputError("shared unknown", "an empty name", "what to call it")
+        require(self.name, "shared unknown", "an empty name", "what to call it")
         if (self.sine is None) == (self.kind is SharedKind.VIBRATION):
             raise InputError(where, f"{self.kind}, sine {self.sine}", "a sine of a vibration alone")
         images = frozen_index(self.images, f"{where}, images", np.size(self.images), 2**31)
@@ -181,8 +180,7 @@ class SharedUnknown(Record):
         if (images.size == 0) != of_profile or np.unique(images).size != images.size:
             raise InputError(f"{where}, images", f"{images.tolist()[:10]}", "at least one image, each once")
         sigmas = frozen(self.sigmas, f"{where}, sigmas", (self.kind.width,))
-        if sigmas.min() <= 0.0:
-            raise InputError(f"{where}, sigmas", f"{sigmas.min()} {self.kind.unit}", "positive sigmas")
+        require(sigmas.min() > 0.0, f"{where}, sigmas", f"{sigmas.min()} {self.kind.unit}", "positive sigmas")
         assign(self, images=images, sigmas=sigmas)
 
     @classmethod

@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.names import Names
@@ -240,8 +240,7 @@ def planned_point(
 
 def require_candidates(where: str, names: Sequence[str]) -> None:
     """Raise InputError for no candidate, and for a name given twice."""
-    if not names:
-        raise InputError(where, "no candidate", "at least one image, profile or control point")
+    require(names, where, "no candidate", "at least one image, profile or control point")
     for name in sorted({candidate for candidate in names if names.count(candidate) > 1})[:1]:
         raise InputError(where, f"two candidates named {name!r}", "each name once")
 
@@ -281,8 +280,7 @@ def _network(
     images = [view.known for name, view in coverage.views.items() if name in used]
     images += [new_image] if new_image is not None and new_image.image.name in used else []
     number = {image.image.name: j for j, image in enumerate(images)}
-    nothing = np.zeros(0, dtype=np.int64)
-    shots = Ranges(nothing, nothing, np.zeros(0), np.zeros(0), np.zeros(0))
+    shots = Ranges.none()
     if ranges is not None:
         shots = Ranges(ranges[0], np.full(ranges[0].size, number[ranges[1]]), *ranges[2:])
     image = np.array([number[name] for name in names], dtype=np.int64)

@@ -9,7 +9,7 @@ import numpy as np
 from mgsgraph.adjustment.graph.forms import IN_PROCESS
 from mgsgraph.adjustment.incremental.state import ground_motion
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.errors import InputError, WeakNetwork, errors_from
+from mgsgraph.errors import InputError, WeakNetwork, errors_from, require
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.records import Array
@@ -98,12 +98,10 @@ def targets_of(state: NetworkState, names: Sequence[str]) -> Targets:
         whole = (text if text in place or text in WORDS else image_names([text], list(images))[0] for text in names)
         names = tuple(dict.fromkeys(whole))
     for name in names:
-        if name in WORDS:
-            raise InputError("target", f"{name!r} beside names", "either 'ties' or 'all', or names")
+        require(name not in WORDS, "target", f"{name!r} beside names", "either 'ties' or 'all', or names")
         if (name in place and not moving[place[name]]) or (name in images and network.held[images[name]]):
             raise InputError("target", f"{name!r}, which is held and has no sigma", "an adjusted one")
-    if not names:
-        raise InputError("target", "none", "'ties', 'all', or names of points and images")
+    require(names, "target", "none", "'ties', 'all', or names of points and images")
     return Targets(tuple(n for n in names if n in place), tuple(n for n in names if n not in place), names)
 
 
@@ -341,8 +339,7 @@ def plan(
     """
     state = state_of_solution(of)
     require_candidates("plan", [candidate.name for candidate in candidates])
-    if choose < 1:
-        raise InputError("plan", f"{choose} to choose", "at least 1")
+    require(choose >= 1, "plan", f"{choose} to choose", "at least 1")
     targets = targets_of(state, wanted)
     judge = Evaluator(state, targets, criterion)
     useful = [c for c in sorted(candidates, key=lambda c: c.name) if c.addition is not None]

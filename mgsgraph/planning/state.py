@@ -15,7 +15,7 @@ from mgsgraph.adjustment.rounds import Selection, all_rows, determined_points, e
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import require_covariance
-from mgsgraph.errors import InputError, WeakNetwork, errors_from
+from mgsgraph.errors import WeakNetwork, errors_from, require
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.kernel.rows import Rows
@@ -117,8 +117,7 @@ def network_state(
     with errors_from("plan"):
         require_separable(network)
     network, placed = network.independent, np.flatnonzero(np.isfinite(places[:, 0]))
-    if placed.size == 0:
-        raise InputError("plan", "no point has a place", "an adjusted network", "solve it first")
+    require(placed.size != 0, "plan", "no point has a place", "an adjusted network", "solve it first")
     used = replace(network, rays=network.rays.chosen(rays), ranges=network.ranges.chosen(ranges))
     used = used.with_rejected(None, None)
     left = with_images(select_points(used, placed), known_images(network))
@@ -167,8 +166,7 @@ class ReducedNetwork:
     def columns(self, names: Sequence[Unknown]) -> Index:
         """Columns of some unknowns, one after another."""
         number = {name: v for v, name in enumerate(self.names)}
-        parts = [np.arange(*self.layout.columns_of(number[name]).indices(self.layout.columns)[:2]) for name in names]
-        return np.concatenate([np.zeros(0, dtype=np.int64), *parts])
+        return self.layout.variables.columns_of_all(number[name] for name in names)
 
     @property
     def adjusted(self) -> list[Unknown]:

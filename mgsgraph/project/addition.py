@@ -13,7 +13,7 @@ from mgsgraph.case.case_file import decode, plain_image, read_image, read_images
 from mgsgraph.case.passes import members
 from mgsgraph.case.reading import Case, picture_of, read_case
 from mgsgraph.case.schema import ImageInput, ShotsInput
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.altimetry.lidar import read_lidar
 from mgsgraph.files.altimetry.shots import read_shots
 from mgsgraph.files.kinds import image_kind, image_name
@@ -348,8 +348,7 @@ def _read_profile(
 ) -> LaserProfile:
     """Shots of an ISIS lidar file; or those of an altimeter's profile in the image that was taken at the same time."""
     candidate_images = images or [store.image(name).image for name in store.image_names()]
-    if not candidate_images:
-        raise InputError(str(path), "laser shots without an image", "an image that they belong to", "add it too")
+    require(candidate_images, str(path), "laser shots without an image", "an image that they belong to", "add it too")
     if path.suffix.lower() == ".json":
         lidar = read_lidar(path)
         require_on_body(lidar.footprints, candidate_images[0].body, lidar.source, lidar.ids)

@@ -33,7 +33,7 @@ from mgsgraph.atomic_write import resolved, sweep
 from mgsgraph.case.case_file import decode
 from mgsgraph.case.reading import adjust, read_case
 from mgsgraph.case.terrain import count_files
-from mgsgraph.errors import InputError, MgsgraphError
+from mgsgraph.errors import InputError, MgsgraphError, require
 from mgsgraph.files.opening import sha256_of
 from mgsgraph.files.output.folders import MATCH, require_replaceable
 from mgsgraph.files.output.folders import RECORD as RESULT
@@ -233,8 +233,7 @@ def find_cases(given: Iterable[Path], out: Path) -> tuple[Path, ...]:
             every = (one for one in sorted(path.rglob(f"*{SUFFIX}")) if not hidden.search(str(one.relative_to(path))))
             own = result == path.resolve()
             inside = [one for one in (resolved(one, _MEND) for one in every) if own or result not in one.parents]
-            if not inside:
-                raise InputError(str(path), f"no case file (*{SUFFIX}) in this folder", "at least one")
+            require(inside, str(path), f"no case file (*{SUFFIX}) in this folder", "at least one")
             found.update(dict.fromkeys(inside))
         elif path.exists():
             found[path.resolve()] = None

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 from urllib.parse import quote
 
-from mgsgraph.errors import InputError, errors_from
+from mgsgraph.errors import InputError, errors_from, require
 from mgsgraph.files.opening import understood
 from mgsgraph.files.output.folders import PROJECT
 from mgsgraph.project.schema import APPLICATION, FORMAT, TABLES
@@ -168,8 +168,7 @@ def _project_file(folder: Path) -> Path:
     """Path of the project's file; InputError for what is wrong without opening it."""
     path, init_remedy = folder / PROJECT, f"make one with: mgsgraph project init {folder}"
     try:
-        if not folder.exists():
-            raise InputError(str(folder), "no such project", remedy=init_remedy)
+        require(folder.exists(), str(folder), "no such project", remedy=init_remedy)
         if not folder.is_dir():
             case = f"make one of the case: mgsgraph project init PROJECT --case {folder}"
             remedy = case if folder.suffix == ".toml" else "give the folder that it is in"
@@ -181,8 +180,7 @@ def _project_file(folder: Path) -> Path:
         empty = path.stat().st_size == 0
     except OSError as error:
         raise InputError(str(folder), f"can't be read ({error.strerror})", remedy="change its permissions") from None
-    if empty:
-        raise InputError(str(folder), f"{PROJECT} is empty", remedy=RESTORE_COPY)
+    require(not empty, str(folder), f"{PROJECT} is empty", remedy=RESTORE_COPY)
     return path
 
 
@@ -226,10 +224,8 @@ def _require_format(connection: sqlite3.Connection, folder: Path) -> None:
         raise InputError(where, "is an SQLite file of another program", remedy="give the folder of a project")
     format_row = connection.execute("SELECT value FROM meta WHERE key = 'format'").fetchone()
     text = str(format_row[0]) if format_row else ""
-    if not _FORMAT_NUMBER.fullmatch(text):
-        raise InputError(where, f"no known format ({text})", f"format {FORMAT}", RESTORE_COPY)
-    if int(text) < FORMAT:
-        raise InputError(where, f"a project of format {text}", f"format {FORMAT}", USE_OLD_VERSION)
+    require(_FORMAT_NUMBER.fullmatch(text), where, f"no known format ({text})", f"format {FORMAT}", RESTORE_COPY)
+    require(int(text) >= FORMAT, where, f"a project of format {text}", f"format {FORMAT}", USE_OLD_VERSION)
     if int(text) > FORMAT:
         version_row = connection.execute("SELECT value FROM meta WHERE key = 'version'").fetchone()
         program = f"mgsgraph {version_row[0]}" if version_row else "mgsgraph"
@@ -248,8 +244,7 @@ def _require_sound(connection: sqlite3.Connection, folder: Path) -> None:
         raise InputError(str(folder), found, remedy=f"{RESTORE_COPY}; if the change was yours, have it signed: {sign}")
     if not expected:
         found = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
-        if found != "ok":
-            raise InputError(str(folder), f"{PROJECT} is damaged ({' '.join(found.split())})", remedy=RESTORE_COPY)
+        require(found == "ok", str(folder), f"{PROJECT} is damaged ({' '.join(found.split())})", remedy=RESTORE_COPY)
 
 
 _UNSUMMED_SPANS = (slice(24, 28), slice(60, 64), slice(92, 100))

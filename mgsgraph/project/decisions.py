@@ -187,13 +187,13 @@ def ground_point(point: str, state: PointState) -> GroundPoints:
 def network_of_rays(point: str, state: PointState, images: Mapping[str, KnownImage]) -> Network:
     """A point with its image measurements, and nothing else."""
     known, measures = [images[one.image] for one in state.measures], state.measures
-    zeros, nothing = np.zeros(len(known), dtype=np.int64), np.zeros(0, dtype=np.int64)
     rays = ImageRays(
-        zeros, np.arange(len(known)), np.array([(one.line, one.sample) for one in measures]),
+        np.zeros(len(known), dtype=np.int64), np.arange(len(known)),
+        np.array([(one.line, one.sample) for one in measures]),
         np.array([(one.sigma_line, one.sigma_sample) for one in measures]),
         np.array([one.back_projected for one in measures]), np.array([one.rejected for one in measures]),
     )  # fmt: skip
-    return Network(*image_columns(known), ground_point(point, state), rays, Ranges(nothing, nothing, *np.zeros((3, 0))))
+    return Network(*image_columns(known), ground_point(point, state), rays, Ranges.none())
 
 
 def measured_by_users(

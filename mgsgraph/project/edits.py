@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from mgsgraph.adjustment.incremental.state import ImagesByName
-from mgsgraph.errors import InputError, errors_from, one_line
+from mgsgraph.errors import InputError, errors_from, one_line, require
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.body import east_north_up, planetocentric
 from mgsgraph.geometry.records import Array
@@ -191,8 +191,7 @@ def _judge(
             state, measure = judged(point, state, one)
             done.append((point, measure))
         states[point] = state
-    if not done:
-        raise InputError("points", f"no measurement to {kind}", "points that have some")
+    require(done, "points", f"no measurement to {kind}", "points that have some")
     what = f"{many(len(done), 'measurement')} of {many(len(states), 'point')} {kind}ed"
     if len(done) == 1 and done[0][1] is not None:
         what = f"point {done[0][0]}: {kind}ed in {done[0][1].image}"
@@ -235,8 +234,7 @@ def release(project: Project, point: str, why: str = "") -> Changed:
     """Make a control point a tie point again, on the terrain model if the project has one at this position."""
     before = _existing_state(project, point)
     _require_tie(before, point)
-    if before.kind == PointKind.FREE:
-        raise InputError(f"point {point}", "not held", "a point with a known place")
+    require(before.kind != PointKind.FREE, f"point {point}", "not held", "a point with a known place")
     free = msgspec.structs.replace(
         before, class_=int(PointClass.TIE), kind=int(PointKind.FREE), place=None, covariance=(0.0,) * 9
     )

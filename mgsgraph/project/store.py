@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from mgsgraph.adjustment.incremental.state import Bundle, ReducedSystem, Shared
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.output.folders import PROJECT
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.terrain import TerrainGrid
@@ -299,8 +299,7 @@ class ProjectStore:
     def terrain(self) -> tuple[TerrainGrid, float] | None:
         """The terrain model that serves as control and the a-priori sigma (m) of its shift; None without one."""
         rows = self._ask("SELECT DISTINCT terrain, terrain_shift_sigma FROM bundle WHERE terrain IS NOT NULL")
-        if len(rows) > 1:
-            raise InputError(self._where, f"{len(rows)} terrain models", "one for all points")
+        require(len(rows) <= 1, self._where, f"{len(rows)} terrain models", "one for all points")
         return (self._grids.record(rows[0][0], TerrainGrid), rows[0][1]) if rows else None
 
     @property
@@ -402,8 +401,7 @@ class ProjectStore:
 
     def _require(self, is_consistent: bool, found: str) -> None:
         """Raise InputError (damaged project) unless `is_consistent`."""
-        if not is_consistent:
-            raise InputError(self._where, f"{PROJECT} is damaged ({found})", remedy=RESTORE_COPY)
+        require(is_consistent, self._where, f"{PROJECT} is damaged ({found})", remedy=RESTORE_COPY)
 
     def _ask(self, statement: str, *values: object) -> list[tuple[Any, ...]]:
         return self._connection.execute(statement, values).fetchall()

@@ -11,7 +11,7 @@ import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.case.reading import Case
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.networks.tie_points import TiePoints
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.image import PushbroomImage
@@ -94,11 +94,10 @@ def register_case(case: Case, solution: Solution | None = None) -> CaseRegistrat
     InputError
         Without a profile, or when the solution is that of another case.
     """
-    if not case.profiles:
-        raise InputError(
-            str(case.path), "no laser profile to be registered", "at least one [[shots]]",
-            "`mgsgraph adjust` shows how shots of an ISIS lidar file fit",
-        )
+    require(
+        case.profiles, str(case.path), "no laser profile to be registered", "at least one [[shots]]",
+        "`mgsgraph adjust` shows how shots of an ISIS lidar file fit",
+    )  # fmt: skip
     images = case.network.images
     names = [Path(shots.source).stem for shots in case.profiles]
     nothing: Corrections = [None] * len(images)

@@ -25,7 +25,7 @@ from mgsgraph.case.case_file import decode
 from mgsgraph.case.reading import Case
 from mgsgraph.case.scene import picture_file
 from mgsgraph.compiled import in_threads
-from mgsgraph.errors import InputError, errors_from
+from mgsgraph.errors import InputError, errors_from, require
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.stereo_surface import SurfaceHeights, heights_above
@@ -233,8 +233,7 @@ def _require_pictures(case: Case, settings: ReliefSettings) -> None:
     names = [image.name for image in case.network.images]
     with errors_from(str(case.path)):
         image_names(settings.images, names)
-    if len(names) < 2:
-        raise InputError(str(case.path), "one image", "two that overlap, at least")
+    require(len(names) >= 2, str(case.path), "one image", "two that overlap, at least")
     tables = decode(case.path)
     for j in range(len(tables.images)):
         picture_file(tables, j, case.path)

@@ -19,7 +19,7 @@ from mgsgraph.analysis.separability import inseparable
 from mgsgraph.analysis.unexplained import Unexplained, unexplained
 from mgsgraph.analysis.verdict import verdict
 from mgsgraph.analysis.weak import weakest
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.output.folders import ANALYSIS
 from mgsgraph.files.output.table import Column, Table, numbers, picked
 from mgsgraph.geometry.records import Index
@@ -150,8 +150,7 @@ class AnalysisRequest:
 
     def __post_init__(self) -> None:
         for what, value in (("--sigma-px", self.sigma), ("--post", 1.0 if self.cell is None else self.cell)):
-            if not (np.isfinite(value) and value > 0.0):
-                raise InputError(what, f"{value}", "a positive number")
+            require(np.isfinite(value) and value > 0.0, what, f"{value}", "a positive number")
 
 
 _MOST_LINES = 9
@@ -177,8 +176,7 @@ def brief(solution: Solution) -> list[str]:
 
 def require_used(option: str, is_given: bool, has_effect: bool, missing: str) -> None:
     """Raise InputError for an option that would do nothing."""
-    if is_given and not has_effect:
-        raise InputError(option, f"no {missing}", "both", "add it, or leave the option out")
+    require(not is_given or has_effect, option, f"no {missing}", "both", "add it, or leave the option out")
 
 
 def analysis_sections(posterior: Posterior, request: AnalysisRequest, name: str) -> Iterator[Section]:

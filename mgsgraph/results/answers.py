@@ -13,7 +13,7 @@ from mgsgraph.adjustment.frames import FLIGHT_NAMES
 from mgsgraph.analysis.estimates import Difference, Estimate, PixelEstimate, PoseEstimate, PositionEstimate, Quantity
 from mgsgraph.analysis.places import BANDS, SigmaGrid, sigma_grid
 from mgsgraph.analysis.posterior import Pixel, Posterior
-from mgsgraph.errors import InputError
+from mgsgraph.errors import require
 from mgsgraph.files.output.folders import PROGRAM
 from mgsgraph.files.output.table import Column, Table
 from mgsgraph.files.rasters.raster_file import geographic_crs, geotiff, wkt2
@@ -47,8 +47,7 @@ class Questions:
     """Probability of the error ellipsoids."""
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.probability < 1.0:
-            raise InputError("--probability", f"{self.probability}", "a number between 0 and 1")
+        require(0.0 < self.probability < 1.0, "--probability", f"{self.probability}", "a number between 0 and 1")
 
     def __bool__(self) -> bool:
         return bool(self.points or self.pairs or self.poses or self.projections or self.pixels)

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, TypeVar, Union, get_args, get_o
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.errors import InputError, errors_from
+from mgsgraph.errors import InputError, errors_from, require
 from mgsgraph.files.opening import json_object, opened, understood
 from mgsgraph.geometry.camera import MODELS, Distortion
 from mgsgraph.geometry.image import ExteriorOrientation, PolynomialTrajectory
@@ -255,8 +255,7 @@ def _read_scalar(value: Any, kind: Any, path: str) -> Any:
     if isinstance(value, dict):
         value = float(value["float"])
     if isinstance(kind, type) and issubclass(kind, StrEnum):
-        if value not in tuple(kind):
-            raise InputError(path, f"{value!r}", f"one of {', '.join(kind)}", _USE_NEWER)
+        require(value in tuple(kind), path, f"{value!r}", f"one of {', '.join(kind)}", _USE_NEWER)
         return kind(value)
     if isinstance(kind, type) and not (isinstance(value, kind) or (kind is float and isinstance(value, int))):
         raise InputError(path, f"{value!r}", f"a value of type {kind.__name__}", _REWRITE)
@@ -317,14 +316,12 @@ def read_solution(path: str | Path) -> "Solution":
 
     path = Path(path)
     path = path / ARCHIVE if path.is_dir() else path
-    if not path.exists():
-        raise InputError(str(path), "no such file", remedy=_READJUST)
+    require(path.exists(), str(path), "no such file", remedy=_READJUST)
     where = str(path)
     with errors_from(where), understood(where, "an archive of mgsgraph", _READJUST), opened(path, _LARGEST) as file:
         arrays = read_members(file)
         version = int(arrays["format"])
-        if version != FORMAT:
-            raise InputError("format", f"{version}", f"{FORMAT}", _USE_NEWER if version > FORMAT else _USE_OLDER)
+        require(version == FORMAT, "format", f"{version}", f"{FORMAT}", _USE_NEWER if version > FORMAT else _USE_OLDER)
         solution: Solution = from_arrays(record_of(arrays), Solution, "", arrays)
         _require_shapes(solution)
         return solution

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from mgsgraph.adjustment.incremental.impact import Impact
 from mgsgraph.atomic_write import resolved
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.writing import begins, fresh_file, require_free, writing_to
 from mgsgraph.files.writing import require_writable as require_writable_folder
 
@@ -19,12 +19,9 @@ def require_writable(path: Path, project: Path) -> None:
     Nothing is overwritten but an earlier table of this kind, and nothing is written into the project's folder.
     """
     expected = "a .csv file outside the project for the impact"
-    if path.suffix.lower() != ".csv":
-        raise InputError(str(path), "a name that doesn't end in .csv", expected)
-    if path.exists() and not path.is_file():
-        raise InputError(str(path), "is no file", expected)
-    if not path.parent.is_dir():
-        raise InputError(str(path), f"no folder {path.parent}", expected, "make it first")
+    require(path.suffix.lower() == ".csv", str(path), "a name that doesn't end in .csv", expected)
+    require(not path.exists() or path.is_file(), str(path), "is no file", expected)
+    require(path.parent.is_dir(), str(path), f"no folder {path.parent}", expected, "make it first")
     if resolved(path, "choose another name").is_relative_to(resolved(project, "")):
         raise InputError(str(path), "lies in the project's folder", expected)
     require_free(path, _IMPACT, expected)

@@ -14,7 +14,7 @@ What all of them are made of:
 * `files`: all of it written. The formats are in `mgs_files`, `mola_files`, `spice_files`, `case_files`; labels and text
   kernels lie in ``data``, with places for values.
 
-Names of the package itself, imported on first use: the settings and functions in `_HOME`.
+Names of the package itself, imported on first use: the settings and functions in `__all__`.
 
 Networks drawn anew, archives to fetch from, a CTX pair with jitter, passes of LROC's two cameras and blocks of HRSC
 passes serve tests and scripts alone: `tests/redraw.py`, `tests/flaky_archive.py`, `tests/ctx_pair.py`,
@@ -23,6 +23,8 @@ passes serve tests and scripts alone: `tests/redraw.py`, `tests/flaky_archive.py
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
+
+from mgsgraph import modules_of_names
 
 if TYPE_CHECKING:
     from mgsgraph.simulation.files import write_pair as write_pair
@@ -34,17 +36,11 @@ if TYPE_CHECKING:
     from mgsgraph.simulation.strip import StripSettings as StripSettings
     from mgsgraph.simulation.strip import simulate_strip as simulate_strip
 
-_HOME = {
-    "files": ("write_pair", "write_site"),
-    "pair": ("PairSettings", "simulate_pair"),
-    "site": ("SimulationOptions", "simulate_site"),
-    "strip": ("StripSettings", "simulate_strip"),
-}
-__all__ = sorted(name for names in _HOME.values() for name in names)
+_HOME = modules_of_names(__file__)
+__all__ = sorted(_HOME)
 
 
 def __getattr__(name: str) -> Any:
-    for module, names in _HOME.items():
-        if name in names:
-            return getattr(import_module(f"{__name__}.{module}"), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}; it has {', '.join(__all__)}")
+    return getattr(import_module(_HOME[name]), name)

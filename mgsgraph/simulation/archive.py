@@ -11,7 +11,7 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
-from mgsgraph.errors import InputError, require
+from mgsgraph.errors import require
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.geometry.camera import InteriorOrientation
 from mgsgraph.geometry.image import PushbroomImage
@@ -159,8 +159,7 @@ def archive_settings(
     InputError
         For an unknown kind, and for numbers that can't be.
     """
-    if kind not in _PLANS:
-        raise InputError("kind", repr(kind), f"{', '.join(ARCHIVE_KINDS[:-1])} or {ARCHIVE_KINDS[-1]}")
+    require(kind in _PLANS, "kind", repr(kind), f"{', '.join(ARCHIVE_KINDS[:-1])} or {ARCHIVE_KINDS[-1]}")
     plan = _PLANS[kind]
     images = plan.images if images is None else images
     ties = max(round(plan.ties * images / plan.images), 1) if ties is None else ties

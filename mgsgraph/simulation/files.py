@@ -15,7 +15,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import require
 from mgsgraph.files.writing import writing_to
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.altimetry import LaserProfile
@@ -150,8 +150,7 @@ def write_site(simulated: SimulatedSite, folder: Path, weighting: Weighting = "r
     >>> write_site(site, Path("gusev-as-published"), weighting="papers").name
     'case_papers.toml'
     """
-    if weighting not in get_args(Weighting):
-        raise InputError("simulated site, weighting", repr(weighting), " or ".join(CASE_FILES))
+    require(weighting in get_args(Weighting), "simulated site, weighting", repr(weighting), " or ".join(CASE_FILES))
     write_texts(folder, {
         "network.pvl": tie_network_text(simulated.ties, "simulated_site"),
         "truth.json": json_text(_site_truth(simulated)),

@@ -14,7 +14,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import require
 from mgsgraph.geometry.body import Ellipsoid, from_planetocentric, in_turn, intersect_ellipsoid, planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
@@ -227,10 +227,8 @@ def make_terrain(site_name: str, seed: int) -> SiteTerrain:
     """Ground of a study site, ``eos``, ``gusev`` or ``isidis``; the same name and seed (zero or positive) give the same
     ground. InputError if there is no such site.
     """
-    if site_name not in SITES:
-        raise InputError("simulated ground", f"site {site_name!r}", f"one of {', '.join(SITES)}")
-    if seed < 0:
-        raise InputError("simulated ground, seed", f"{seed}", "zero or a positive whole number")
+    require(site_name in SITES, "simulated ground", f"site {site_name!r}", f"one of {', '.join(SITES)}")
+    require(seed >= 0, "simulated ground, seed", f"{seed}", "zero or a positive whole number")
     ground = SITES[site_name]
     of_level, of_relief, of_craters, of_detail, of_soil = np.random.default_rng(
         [seed, list(SITES).index(site_name)]
@@ -318,8 +316,7 @@ def terrain_grid(terrain: SiteTerrain, ppd: int, reach: tuple[float, float] = (2
     Posts lie at odd multiples of half a step, `ppd` per degree, as MEGDR's, and enclose at least `reach` (2,) in m:
     east and west, north and south of the centre.
     """
-    if ppd < 1:
-        raise InputError("simulated terrain grid, posts per degree", f"{ppd}", "a positive whole number")
+    require(ppd >= 1, "simulated terrain grid, posts per degree", f"{ppd}", "a positive whole number")
     shift, rng = grid_shift(terrain), _grid_stream(terrain)
     rng.standard_normal(2)  # taken by the shift
     centre, half = np.array([terrain.centre_lon, terrain.centre_lat]), np.array(reach) / terrain.metres_per_radian

@@ -8,7 +8,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.geometry.body import from_planetocentric, planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
@@ -51,8 +51,7 @@ def render(
     far, points = _far_nodes(image, terrain, correction, between)
     middle = points[points.shape[0] // 2, points.shape[1] // 2]
     height_of_sun = float(sun_direction @ middle) / float(np.linalg.norm(middle))
-    if not height_of_sun > 0.0:
-        raise InputError(f"picture of {image.name}", "the Sun below the horizon", "a Sun above it")
+    require(height_of_sun > 0.0, f"picture of {image.name}", "the Sun below the horizon", "a Sun above it")
     gain = np.float32(_LEVEL / height_of_sun)
     picture = np.empty((image.lines, image.samples), dtype=np.uint8)
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.records import Array, assign
+from mgsgraph.geometry.records import Array, assign, read_only
 from mgsgraph.units import KM
 
 """Height of a crater's rim in units of its depth; radius at which its ejecta end, in units of the crater's."""
@@ -35,8 +35,7 @@ class PeriodicSurface:
         if rows & (rows - 1) or columns & (columns - 1):
             raise InputError("periodic surface", f"{rows} x {columns} coefficients", "powers of two")
         wrapped = np.pad(np.asarray(self.coefficients, dtype=np.float32), 1, mode="wrap")
-        wrapped.flags.writeable = False
-        assign(self, coefficients=wrapped)
+        assign(self, coefficients=read_only(wrapped))
 
     @property
     def period(self) -> tuple[float, float]:

@@ -11,7 +11,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.networks.tie_points import TiePoints
 from mgsgraph.geometry.altimetry import MOLA, SPOT_WIDTHS
 from mgsgraph.geometry.body import east_north, from_planetocentric, planetocentric
@@ -155,8 +155,7 @@ class SimulationOptions(Record):
             require_positive(f"simulation options, {name}", getattr(self, name))
         for name in ("attitude_time_bias", "emission"):
             value = getattr(self, name)
-            if value is not None and not np.isfinite(value):
-                raise InputError(f"simulation options, {name}", f"{value}", "a number")
+            require(value is None or np.isfinite(value), f"simulation options, {name}", f"{value}", "a number")
         if self.resolution < 1:
             raise InputError("simulation options, resolution", f"{self.resolution}", "a whole number above zero")
 

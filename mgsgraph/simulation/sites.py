@@ -13,7 +13,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import require
 from mgsgraph.files.decoding import toml_table
 from mgsgraph.files.opening import read_text
 from mgsgraph.geometry.orientation import OrientationPrior
@@ -144,8 +144,7 @@ def site_settings(name: str) -> SiteSettings:
     InputError
         If there is no such site.
     """
-    if name not in _SITES:
-        raise InputError("site", repr(name), " or ".join(SITE_NAMES))
+    require(name in _SITES, "site", repr(name), " or ".join(SITE_NAMES))
     return _SITES[name]
 
 

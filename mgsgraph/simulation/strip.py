@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from mgsgraph.case.assembly import merged
 from mgsgraph.errors import InputError, require
 from mgsgraph.files.networks.tie_points import TiePoints
 from mgsgraph.geometry.altimetry import LaserProfile
@@ -218,23 +219,8 @@ def _unshared(image: PushbroomImage, found: int, wanted: int) -> InputError:
 
 def merged_ties(parts: Sequence[TiePoints]) -> TiePoints:
     """Tie points of several steps together: points in order of appearance, measures by point."""
-    ids, of_part = Names.united([part.ids for part in parts])
-    point = np.concatenate([own[part.measure_point] for own, part in zip(of_part, parts, strict=True)])
-    order = np.argsort(point, kind="stable")
-    first = np.full(len(ids), -1)
-    rows = np.concatenate(of_part)
-    first[rows[::-1]] = np.arange(rows.size)[::-1]
-    return TiePoints(
-        source=parts[0].source,
-        ids=ids,
-        kinds=np.concatenate([part.kinds for part in parts])[first],
-        places=np.concatenate([part.places for part in parts])[first],
-        covariances=np.concatenate([part.covariances for part in parts])[first],
-        measure_point=point[order],
-        measure_image=RepeatedNames.concatenated([part.measure_image for part in parts])[order],
-        measures=np.concatenate([part.measures for part in parts])[order],
-        measure_sigmas=np.concatenate([part.measure_sigmas for part in parts])[order],
-    )
+    ties = merged(parts)
+    return ties.with_measures(np.argsort(ties.measure_point, kind="stable"))
 
 
 def merged_profiles(parts: Sequence[LaserProfile]) -> tuple[LaserProfile, ...]:
@@ -418,11 +404,10 @@ def _images(settings: StripSettings) -> list[PushbroomImage]:
     sites, headings = ground_track(first, since)
     length = float(np.linalg.norm(np.diff(sites, axis=0), axis=1).sum())
     longest = _LONGEST * MARS.equatorial
-    if length > longest:
-        raise InputError(
-            "strip settings, images", f"a strip of {length / KM:.0f} km, which turns back at the pole",
-            f"at most {longest / KM:.0f} km", "take fewer or shorter images, or more overlap",
-        )
+    require(
+        length <= longest, "strip settings, images", f"a strip of {length / KM:.0f} km, which turns back at the pole",
+        f"at most {longest / KM:.0f} km", "take fewer or shorter images, or more overlap",
+    )  # fmt: skip
     images = []
     for k in range(settings.images):
         pair, off_nadir_turn = divmod(k, 2)

@@ -75,8 +75,7 @@ def change(opened: Opened, content: Mapping[str, Any]) -> dict[str, Any]:
         No project; another process changes it; the change is refused. Nothing has changed then.
     """
     kind = text_of(content, "kind")
-    if kind not in _KINDS:
-        raise InputError("change, kind", repr(kind)[:60], f"one of {', '.join(_KINDS)}")
+    require(kind in _KINDS, "change, kind", repr(kind)[:60], f"one of {', '.join(_KINDS)}")
 
     def act(project: Project) -> tuple[Changed, list[dict[str, Any]]]:
         edited = _KINDS[kind](project, content)
@@ -126,8 +125,7 @@ def _hold(project: Project, content: Mapping[str, Any]) -> Changed:
     body = project.store.image(names[0]).image.body
     place = np.array([number_of(content, "longitude_deg") * DEG, number_of(content, "geodetic_latitude_deg") * DEG,
                       number_of(content, "height_m")])  # fmt: skip
-    if abs(place[1]) > 0.5 * np.pi:
-        raise InputError("change, geodetic_latitude_deg", f"{place[1] / DEG:g}", "-90 to 90")
+    require(abs(place[1]) <= 0.5 * np.pi, "change, geodetic_latitude_deg", f"{place[1] / DEG:g}", "-90 to 90")
     sigmas = np.array([number_of(content, f"sigma_{axis}_m") for axis in ("east", "north", "up")])
     return edits.hold(project, point, from_geodetic(place[None], body)[0], sigmas)
 

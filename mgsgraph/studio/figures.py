@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from starlette.responses import Response
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import require
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.studio.map_graticule import graticule
 from mgsgraph.studio.map_images import MapImages
@@ -34,8 +34,7 @@ def load_figures() -> None:
 
 def drawn(view: str, kind: str, make: "Callable[[], Sheet]") -> Response:
     """A view, drawn by `make`, as an attachment with its caption; InputError of what can't be written."""
-    if kind not in _TYPES:
-        raise InputError("figure", f"{view}.{kind}"[:60], f"one of {', '.join(_TYPES)}")
+    require(kind in _TYPES, "figure", f"{view}.{kind}"[:60], f"one of {', '.join(_TYPES)}")
     load_figures()
     from mgsgraph.results.figures.sheet import encoded
 
@@ -85,10 +84,8 @@ def map_figure(
     """
     from mgsgraph.results.figures.map import MapWindow, window_sheet
 
-    if not any(layer in LAYERS for layer in layers):
-        raise InputError("figure of the map", "no layer", f"some of {', '.join(LAYERS)}")
-    if factor < 0.0:
-        raise InputError("figure of the map, factor", f"{factor:g}", "0 or above")
+    require(any(layer in LAYERS for layer in layers), "figure of the map", "no layer", f"some of {', '.join(LAYERS)}")
+    require(factor >= 0.0, "figure of the map, factor", f"{factor:g}", "0 or above")
     opened = images.opened
     points = map_points(opened)
     record = points.window(box, size, value, kinds)

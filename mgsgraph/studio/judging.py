@@ -5,7 +5,7 @@ from functools import cached_property
 from pathlib import Path
 from threading import RLock
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import require
 from mgsgraph.export.verdicts import (
     Verdict,
     Verdicts,
@@ -57,11 +57,9 @@ class Judging:
         InputError
             No verdict, no tie point of the case, or a file that can't be written. Nothing has changed then.
         """
-        if verdict not in list(Verdict):
-            raise InputError("request, verdict", repr(verdict)[:60], f"one of {', '.join(Verdict)}")
+        require(verdict in list(Verdict), "request, verdict", repr(verdict)[:60], f"one of {', '.join(Verdict)}")
         for name, number in zip(points, self._ties().ids.find(list(points)).tolist(), strict=True):
-            if number < 0:
-                raise InputError(f"point {name}", "no tie point of the case", "one of its tie points")
+            require(number >= 0, f"point {name}", "no tie point of the case", "one of its tie points")
         with self._lock:
             verdicts = self.verdicts
             of = {**verdicts.of, **dict.fromkeys(points, Verdict(verdict))}

@@ -10,8 +10,8 @@ import numpy as np
 from mgsgraph.analysis.measures import MeasureKind
 from mgsgraph.analysis.places import SigmaGrid, sigma_grid
 from mgsgraph.analysis.reliability import reliability
-from mgsgraph.analysis.statistics import counts, medians, span
-from mgsgraph.errors import InputError
+from mgsgraph.analysis.statistics import medians, span
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.output.table import digits, plain
 from mgsgraph.geometry.body import east_north_up, from_planetocentric, places_at, planetocentric
 from mgsgraph.geometry.records import Array, Index, Mask, thinned
@@ -92,8 +92,7 @@ class MapPoints:
 
     def value(self, name: str) -> Array:
         """(n,) a value of the points, one of `VALUES`; NaN where unknown."""
-        if name not in VALUES:
-            raise InputError("request, value", repr(name)[:60], f"one of {', '.join(VALUES)}")
+        require(name in VALUES, "request, value", repr(name)[:60], f"one of {', '.join(VALUES)}")
         makers: dict[str, Callable[[], Array]] = {
             "sigma": lambda: np.sqrt(np.trace(self.local, axis1=1, axis2=2)),
             "sigma_horizontal": lambda: np.sqrt(self.local[:, 0, 0] + self.local[:, 1, 1]),
@@ -162,7 +161,7 @@ class MapPoints:
         cell_size = np.array([(box[2] - box[0]) / columns, (box[3] - box[1]) / rows])
         place = np.minimum(((self.plane[chosen] - box[:2]) / cell_size).astype(np.int64), [columns - 1, rows - 1])
         cell, total = place[:, 1] * columns + place[:, 0], columns * rows
-        point_counts, cell_medians = counts(cell, total), medians(values[chosen], cell, total)
+        point_counts, cell_medians = np.bincount(cell, minlength=total), medians(values[chosen], cell, total)
         filled, has_arrow = np.flatnonzero(point_counts), np.all(place % _ARROWS == _ARROWS // 2, axis=1)
         moved = self.moved_of(chosen[has_arrow])
         arrows = np.array([medians(moved[:, k], cell[has_arrow], total) for k in range(2)])

@@ -381,8 +381,7 @@ class Opened:
         InputError
             Results or a case; another process is changing it; `act` refuses. Nothing has changed then.
         """
-        if self.kind != "project":
-            raise InputError(str(self.path), f"a {self.kind}", "a project", _CHANGED)
+        require(self.kind == "project", str(self.path), f"a {self.kind}", "a project", _CHANGED)
         with self._changing:
             self._prepared = -1  # a refused change leaves nothing in memory
             with open_project(self.path, write=True, cache=self._cache) as project:
@@ -464,8 +463,7 @@ def _centre(block: Block) -> Array:
     if np.any(np.all(np.isfinite(block.places), axis=1)):
         return centre_of(block.places)
     outlines = [area.outline for area in network_footprints(block.network, block.places) if len(area.outline)]
-    if not outlines:
-        raise InputError("studio", "no point with a place, and no image that sees the ground", "one of them")
+    require(outlines, "studio", "no point with a place, and no image that sees the ground", "one of them")
     return centre_of(np.concatenate(outlines))
 
 

@@ -11,7 +11,7 @@ from PIL import Image
 from mgsgraph.analysis.measures import MeasureKind
 from mgsgraph.analysis.posterior import cross_covariances
 from mgsgraph.analysis.reliability import reliability
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.files.output.table import plain, vector
 from mgsgraph.files.rasters.pictures import picture_size, read_picture_part
@@ -320,8 +320,7 @@ def next_measures(opened: Opened, linked: LinkedImages) -> dict[str, Any]:
     names = [f"next-{k + 1}" for k in range(len(places))]
     candidates = [planned_point(coverage, name, place, None, _SIGMA) for name, place in zip(names, places, strict=True)]
     candidates = [candidate for candidate in candidates if candidate.addition is not None]
-    if not candidates:
-        raise InputError(str(opened.path), "no ground that two images see", "images that overlap")
+    require(candidates, str(opened.path), "no ground that two images see", "images that overlap")
     planned = plan(state, candidates, _CHOSEN, ("ties",), "mean", opened.now.name)
     at, planes, chosen = dict(zip(names, places, strict=True)), opened.map_places(places).tolist(), []
     for step in planned.chosen:

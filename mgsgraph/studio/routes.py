@@ -15,7 +15,7 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
 from mgsgraph.analysis.posterior import Pixel, Posterior
-from mgsgraph.errors import InputError, MgsgraphError
+from mgsgraph.errors import InputError, MgsgraphError, require
 from mgsgraph.files.opening import json_object
 from mgsgraph.files.output.table import plain
 from mgsgraph.geometry.records import Array, Mask
@@ -115,8 +115,7 @@ class Views:
 def _box(query: Mapping[str, Any]) -> Array:
     """(4,) m on the map, x and y, low and high; InputError for an empty box."""
     box = np.array([number_of(query, key) for key in ("x0", "y0", "x1", "y1")])
-    if not np.all(box[2:] > box[:2]):
-        raise InputError("request, box", f"{box.tolist()}", "x0 < x1 and y0 < y1")
+    require(np.all(box[2:] > box[:2]), "request, box", f"{box.tolist()}", "x0 < x1 and y0 < y1")
     return box
 
 
@@ -161,8 +160,7 @@ def questions_of(content: dict[str, Any]) -> Questions:
         if isinstance(error, InputError):
             raise
         raise InputError("questions", repr(content)[:80], expected) from None
-    if not questions:
-        raise InputError("questions", "none", expected)
+    require(questions, "questions", "none", expected)
     return questions
 
 
@@ -419,8 +417,7 @@ def _posted(answer: Callable[[Any, str], Any]) -> _Endpoint:
         body = b""
         async for part in request.stream():
             body += part
-            if len(body) > _LONGEST:
-                raise InputError("request", f"more than {_LONGEST} bytes", "a shorter one")
+            require(len(body) <= _LONGEST, "request", f"more than {_LONGEST} bytes", "a shorter one")
         content = bounded(json_object(body, "request"), "request")
         return JSONResponse(await queued(content, _browser(request)))
 

@@ -28,7 +28,7 @@ from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.analysis.measures import MeasureKind
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.analysis.reliability import reliability
-from mgsgraph.analysis.residual_rows import ResidualRows, residual_rows, tail
+from mgsgraph.analysis.residual_rows import ResidualRows, quadratic_tail, residual_rows
 from mgsgraph.analysis.residual_spectrum import (
     Residuals,
     Series,
@@ -107,7 +107,7 @@ def test_the_tail_of_a_quadratic_form_is_that_of_draws() -> None:
     weights = np.concatenate([rng.uniform(0.0, 2.0, 12), rng.uniform(-1.0, 0.0, 24)])
     draws = np.sort(rng.standard_normal((40_000, weights.size)) ** 2 @ weights)
     for share in (0.1, 0.01, 0.001):
-        assert tail(float(draws[-int(share * draws.size)]), weights) == pytest.approx(share, rel=0.25)
+        assert quadratic_tail(float(draws[-int(share * draws.size)]), weights) == pytest.approx(share, rel=0.25)
 
 
 @pytest.fixture(scope="module")

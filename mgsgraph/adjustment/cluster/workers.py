@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 
 OPTION = "--cluster"
 """Name of the option in errors."""
@@ -67,8 +67,7 @@ def parse_cluster(text: str, insecure: bool = False) -> ClusterAddress:
     local = re.fullmatch(r"local(?::(\d{1,9}))?", text)
     if local:
         workers = int(local[1]) if local[1] else cores()
-        if not 1 <= workers <= _MOST_WORKERS:
-            raise InputError(f"{OPTION} {text}", f"{workers} workers", f"1 to {_MOST_WORKERS}")
+        require(1 <= workers <= _MOST_WORKERS, f"{OPTION} {text}", f"{workers} workers", f"1 to {_MOST_WORKERS}")
         return ClusterAddress(text, workers=workers)
     if text.startswith(("tcp://", "tls://")) and _names_host_and_port(text):
         if text.startswith("tcp:") and not insecure:
@@ -145,8 +144,7 @@ def require_same_versions(client: Any, where: str) -> None:
                 raise InputError(f"{where}, worker {address}", f"no package {name}", f"{name} {version(name)}", remedy)
             if installed != version(name):
                 raise _unlike(where, address, name, installed, version(name))
-        if problem:
-            raise InputError(f"{where}, worker {address}", problem, remedy="repair the installation of that worker")
+        require(not problem, f"{where}, worker {address}", problem, remedy="repair the installation of that worker")
 
 
 def _unlike(where: str, address: str, name: str, installed: str, expected: str) -> InputError:

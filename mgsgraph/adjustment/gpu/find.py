@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from importlib.util import find_spec
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 
 WHERE = "solver, device"
 _INSTALL = 'install it with pip install "mgsgraph[cuda]", or take device = "cpu"'
@@ -38,8 +38,7 @@ def find_gpu() -> Gpu:
     InputError
         numba-cuda isn't installed; there is no driver, or no GPU.
     """
-    if find_spec("numba_cuda") is None:
-        raise InputError(WHERE, "'cuda', but numba-cuda is not installed", remedy=_INSTALL)
+    require(find_spec("numba_cuda") is not None, WHERE, "'cuda', but numba-cuda is not installed", remedy=_INSTALL)
     from mgsgraph.kernel.cuda.device import describe, why_not
 
     if why := why_not():

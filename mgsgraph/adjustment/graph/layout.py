@@ -95,8 +95,7 @@ class Layout:
             for k, unknown in enumerate(network.shared)
             if unknown.sine is not None or any(bends(network, k, j) for j in unknown.images.tolist())
         ]
-        columns = np.arange(self.columns)
-        return np.concatenate([columns[:0], *(columns[self.columns_of(v)] for v in variables)])
+        return self.variables.columns_of_all(variables)
 
     @property
     def angles(self) -> Angles:

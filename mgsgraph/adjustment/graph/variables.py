@@ -5,7 +5,7 @@ Priors are whitened rows: of most unknowns each by itself, about zero; jointly o
 states of the observations.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
@@ -60,6 +60,11 @@ class Variables:
         """Columns of one variable."""
         first = int(self.first[variable])
         return slice(first, first + int(self.width[variable]))
+
+    def columns_of_all(self, variables: Iterable[int]) -> Index:
+        """Columns of some variables, one after the other."""
+        each = [self.first[v] + np.arange(self.width[v]) for v in variables]
+        return np.concatenate([np.zeros(0, dtype=np.int64), *each])
 
     def columns_from(self, variable: int, count: int) -> slice:
         """Columns of `count` adjusted variables, one after the other, from one on."""

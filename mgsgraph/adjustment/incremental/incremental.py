@@ -30,7 +30,7 @@ from mgsgraph.adjustment.incremental.state import (
 from mgsgraph.adjustment.incremental.sweep import Sweep
 from mgsgraph.adjustment.incremental.trajectories import extended, shortened, turned_bundles, unknowns_of
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.networks.tie_points import TiePoints
 from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.image import PushbroomImage
@@ -132,8 +132,7 @@ class IncrementalAdjustment(Record):
         """Joint covariance (d, d) of the coefficients of some images, m and rad, straight from iSAM2."""
         names = [self._known(image).image.name for image in images]
         for image in names:
-            if self._known(image).held:
-                raise InputError(f"image {image}", "held: it has no unknowns", "an adjusted image")
+            require(not self._known(image).held, f"image {image}", "held: it has no unknowns", "an adjusted image")
             if (pass_ := self._engine.known.of_image(image)) is not None:
                 problem, remedy = f"of pass {pass_.name!r}: it has no coefficients of its own", "ask for `joint`"
                 raise InputError(f"image {image}", problem, "an image with an orientation of its own", remedy)
@@ -157,8 +156,7 @@ class IncrementalAdjustment(Record):
             return names, places, covariances
         where = {name: k for k, name in enumerate(names)}
         for name in ids:
-            if name not in where:
-                raise InputError(f"point {name}", "no such point", "one of the adjustment's")
+            require(name in where, f"point {name}", "no such point", "one of the adjustment's")
         chosen = [where[name] for name in ids]
         return tuple(ids), places[chosen], covariances[chosen]
 
@@ -174,8 +172,7 @@ class IncrementalAdjustment(Record):
 
     def _as_network(self) -> tuple[Network, Array]:
         """All of it as one network, and the places (n, 3) in m of its points as they are in store."""
-        if not self.store.members():
-            raise InputError("incremental adjustment", "no points", "observations in at least one image")
+        require(self.store.members(), "incremental adjustment", "no points", "observations in at least one image")
         return self.store.as_network()
 
     # --- what may be done

@@ -16,7 +16,7 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import intersect_ellipsoid
 from mgsgraph.geometry.orientation import Angles, OrientationCorrection
-from mgsgraph.geometry.records import Array, assign, frozen
+from mgsgraph.geometry.records import Array, assign, frozen, read_only
 from mgsgraph.geometry.rotation import skew
 from mgsgraph.network import HELD, Network, SharedKind
 from mgsgraph.network.joining import Definitions, NamedPass, NamedShared, definitions, seconds, with_definitions
@@ -92,8 +92,7 @@ class Bundle:
         n = len(self.network.points)
         for name, shape in (("places", (n, 3)), ("covariances", (n, 3, 3))):
             values = np.array(getattr(self, name), dtype=np.float64).reshape(shape)
-            values.flags.writeable = False
-            assign(self, **{name: values})
+            assign(self, **{name: read_only(values)})
 
 
 @dataclass(frozen=True, slots=True, eq=False)

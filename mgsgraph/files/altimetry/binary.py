@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.altimetry.shot_values import crossings, known_ranges, positions, require_records, shots_with
 from mgsgraph.files.opening import read_bytes
 from mgsgraph.files.pvl import Block, flat_label
@@ -203,19 +203,15 @@ def _frames(content: bytes, label: Block | None, path: Path) -> NDArray[np.void]
     size, header = FRAME.itemsize, 0
     if label is not None:
         length = label.count("RECORD_BYTES") if "RECORD_BYTES" in label else size
-        if length != size:
-            raise InputError(label.where("RECORD_BYTES"), f"{length}", f"{size}", "is this a PEDR file?")
+        require(length == size, label.where("RECORD_BYTES"), f"{length}", f"{size}", "is this a PEDR file?")
         header = size * (label.count("LABEL_RECORDS") if "LABEL_RECORDS" in label else HEADER_RECORDS)
     body = len(content) - header
-    if body < 0:
-        raise InputError(str(path), f"{len(content)} bytes", f"a label of {header} bytes and frames", "fetch it again")
-    if body % size:
-        raise InputError(
-            str(path), f"{body} bytes of frames: {body // size} frames and {body % size} bytes more",
-            f"frames of {size} bytes", "the file is cut short or its records have another length: fetch it again",
-        )
-    if body == 0:
-        raise InputError(str(path), "no frames", f"frames of {size} bytes after the label", "fetch it again")
+    require(body >= 0, str(path), f"{len(content)} bytes", f"a label of {header} bytes and frames", "fetch it again")
+    require(
+        body % size == 0, str(path), f"{body} bytes of frames: {body // size} frames and {body % size} bytes more",
+        f"frames of {size} bytes", "the file is cut short or its records have another length: fetch it again",
+    )  # fmt: skip
+    require(body != 0, str(path), "no frames", f"frames of {size} bytes after the label", "fetch it again")
     if label is not None:
         require_records(label, len(content) // size, header // size)
     frames = np.frombuffer(content, FRAME, offset=header)
@@ -400,11 +396,10 @@ def lola_shots(content: bytes, path: Path, clock_bias: float = 0.0) -> Altimeter
     can't be.
     """
     whole, rest = divmod(len(content), RECORD.itemsize)
-    if rest:
-        raise InputError(
-            str(path), f"{whole} records and {rest} bytes more", f"records of {RECORD.itemsize} bytes",
-            "the file is cut short: fetch it again",
-        )
+    require(
+        not rest, str(path), f"{whole} records and {rest} bytes more", f"records of {RECORD.itemsize} bytes",
+        "the file is cut short: fetch it again",
+    )  # fmt: skip
     records = np.frombuffer(content, RECORD)
     ground = (records["spots"]["radius"] != _NO_RADIUS) & (records["spots"]["flag"] & INVALID == 0)
     outside = (records["seconds"] < _YEARS[0]) | (records["seconds"] > _YEARS[1])

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.altimetry.binary import RECORD, lola_shots
 from mgsgraph.files.altimetry.shot_values import crossings, known_ranges, positions, require_records, shots_with
 from mgsgraph.files.altimetry.tables import plain_name
@@ -129,8 +129,7 @@ def require_whole(path: Path, content: bytes) -> None:
 
 def _beside(path: Path, block: Block, key: str) -> Path:
     """The file that a pointer names, in the label's folder, whatever the case of its letters."""
-    if not key:
-        raise InputError(str(path), "no pointer such as ^TABLE", "the label of a table in a file of its own")
+    require(key, str(path), "no pointer such as ^TABLE", "the label of a table in a file of its own")
     items = block.words(key)
     if len(items) > 1 and items[1] != "1":
         raise InputError(block.where(key), f"a table from {items[1]} on in its file", "a table that is all of its file")
@@ -160,8 +159,7 @@ class _Rows:
         ]  # fmt: skip
         size = table.count("ROW_BYTES")
         rows, rest = divmod(len(content), size)
-        if not rows or rest:
-            raise InputError(str(path), f"{len(content)} bytes", f"whole rows of {size} bytes, as the label says")
+        require(rows and not rest, str(path), f"{len(content)} bytes", f"whole rows of {size} bytes, as the label says")
         if "ROWS" in table and table.count("ROWS") != rows:
             found, remedy = f"{table.count('ROWS')}, and {rows} rows in the file", "fetch label and table again"
             raise InputError(table.where("ROWS"), found, "as many", remedy)
@@ -208,8 +206,7 @@ class _Rows:
         lengths, has_radius = self._valid(radius or height, "radius" if radius else "height")
         places = [self._valid(columns[name], name) for name in ("longitude", "latitude")]
         ground = has_radius & places[0][1] & places[1][1]
-        if not np.any(ground):
-            raise InputError(str(self.path), f"{ground.size} rows without a ground return", "some with one")
+        require(np.any(ground), str(self.path), f"{ground.size} rows without a ground return", "some with one")
         times, n = self._times(columns["tdb"], columns["utc"]), self._rows.size
         unknown = np.full(n, np.nan), np.zeros(n, dtype=bool)
         ranges, has_range = self._valid(columns["range"], "range") if columns["range"] is not None else unknown
@@ -288,8 +285,7 @@ class _Rows:
             return self._numbers(column)
         block = column.block
         kind = block.text("DATA_TYPE").lower()
-        if kind not in _TYPES:
-            raise InputError(block.where("DATA_TYPE"), kind, ", ".join(_TYPES))
+        require(kind in _TYPES, block.where("DATA_TYPE"), kind, ", ".join(_TYPES))
         sizes = _SIZES[_TYPES[kind][1]]
         if column.size not in sizes:
             found = f"{kind} of {column.size} bytes"

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.altimetry.binary import FRAME, is_lola_rdr, lola_shots, pedr_shots
 from mgsgraph.files.altimetry.labelled_table import is_label, read_labelled_shots, require_whole
 from mgsgraph.files.altimetry.shot_values import (
@@ -82,8 +82,7 @@ def _shots_or_table(path: Path, clock_bias: float = 0.0, version: str | None = N
     content = read_bytes(path)
     if packed := content.startswith(b"\x1f\x8b"):
         content = unpacked_gzip(content, str(path), max(_SMALL, _MOST_TIMES * len(content)))
-    if not content or content.isspace():
-        raise InputError(str(path), "an empty file", "laser shots")
+    require(content and not content.isspace(), str(path), "an empty file", "laser shots")
     if b"\0" in content:
         shots = _of_records(content, packed, path, clock_bias, version)
     elif content.lstrip().startswith(b"{"):
@@ -108,8 +107,7 @@ def _of_records(content: bytes, packed: bool, path: Path, clock_bias: float, ver
             str(path), f"{len(content)} bytes of an unknown format",
             f"LOLA RDR (records of 256 bytes), PEDR (frames of {FRAME.itemsize} bytes) or text",
         )
-    if packed:
-        raise InputError(str(path), "a packed PEDR file", "one that is not packed", "unpack it with gunzip")
+    require(not packed, str(path), "a packed PEDR file", "one that is not packed", "unpack it with gunzip")
     return pedr_shots(content, path, clock_bias, version)
 
 
@@ -194,8 +192,7 @@ def _plain_table(table: CsvText, body: Ellipsoid | None) -> AltimetryCloud:
     cartesian = {"xm", "ym", "zm"} <= set(names)
     if not (cartesian or ({"longitudedeg", "latitudedeg"} <= set(names) and heights)):
         raise InputError(f"{table.path}, header", f"the columns {', '.join(table.names)[:80]}", _EXPECTED)
-    if not len(table):
-        raise InputError(str(table.path), "a header alone", "rows below it")
+    require(len(table), str(table.path), "a header alone", "rows below it")
     columns = ("xm", "ym", "zm") if cartesian else ("longitudedeg", "latitudedeg", heights[0])
     wanted = [names[name] for name in (*columns, "times") if name in names]
     numbers = table.measured(*wanted, largest=LARGEST)

@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.altimetry.binary import IAU2000_VERSION, INVALID, in_iau2000, pedr_version
 from mgsgraph.files.altimetry.shot_values import (
     crossings,
@@ -202,8 +202,7 @@ def shots_of_table(table: CsvText, clock_bias: float = 0.0, version: str | None 
         A column that is missing or there twice, a value that can't be, radii in no unit in which they are the body's,
         a PEDR2TAB table whose version is not known.
     """
-    if not len(table):
-        raise InputError(str(table.path), "a header alone", "rows below it")
+    require(len(table), str(table.path), "a header alone", "rows below it")
     plain = set(map(plain_name, table.names))
     layout = next((candidate for candidate in (_LOLA, _MLA, _OWN) if candidate.known_by <= plain), _PEDR)
     if layout is not _PEDR:
@@ -302,8 +301,7 @@ def _meant(table: CsvText, layout: Layout) -> dict[str, str]:
     columns, where = dict[str, str](), f"{table.path}, header"
     for meaning, names in layout.columns.items():
         matches = [name for name in table.names if plain_name(name) in names.split()]
-        if len(matches) > 1:
-            raise InputError(where, f"two columns for the {meaning}", "one")
+        require(len(matches) <= 1, where, f"two columns for the {meaning}", "one")
         if matches:
             columns[meaning] = matches[0]
     for what, meanings in (

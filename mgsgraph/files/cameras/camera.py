@@ -16,7 +16,7 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.opening import finite_number
 from mgsgraph.files.pvl import Block
 from mgsgraph.geometry.camera import Distortion, InteriorOrientation, RadialDistortion
@@ -154,8 +154,7 @@ class NaifKeywords:
             raise InputError(f"{self.source}, NaifKeywords", f"no {name}", f"{name} = {count} number(s)", remedy)
         value = self.values[name]
         items = [value] if isinstance(value, str) or not isinstance(value, Sequence) else list(value)
-        if len(items) < count:
-            raise InputError(where, f"{len(items)} items", f"{count} number(s)")
+        require(len(items) >= count, where, f"{len(items)} items", f"{count} number(s)")
         return np.array([_finite(item, where) for item in items[:count]])
 
     def time(self, name: str) -> float:
@@ -472,9 +471,8 @@ def require_summing(label: LineScanLabel) -> None:
     if not (1.0 <= summing <= highest and summing % 1.0 == 0.0):
         raise InputError(str(label.path), f"crosstrack summing {summing:g}", f"1 .. {highest} for {label.camera.name}")
     last = label.first_sample + label.samples * summing
-    if last > pixels:
-        raise InputError(
-            str(label.path),
-            f"{label.samples} samples of {summing:g} pixels from {label.first_sample + 1.0:g} on end at {last:g}",
-            f"an end on the detector of {pixels} pixels", "fix the summing, the samples or the first sample",
-        )  # fmt: skip
+    require(
+        last <= pixels, str(label.path),
+        f"{label.samples} samples of {summing:g} pixels from {label.first_sample + 1.0:g} on end at {last:g}",
+        f"an end on the detector of {pixels} pixels", "fix the summing, the samples or the first sample",
+    )  # fmt: skip

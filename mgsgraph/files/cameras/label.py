@@ -32,7 +32,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mgsgraph.errors import InputError, errors_from
+from mgsgraph.errors import InputError, errors_from, require
 from mgsgraph.files.cameras.camera import (
     JOINED,
     Camera,
@@ -89,8 +89,7 @@ def read_line_times(place: LineTimesPlace, lines: int, start: float, stop: float
     InputError
         No line times where they are looked for, a line rate that makes no sense, or times that are not the label's.
     """
-    if not start < stop:
-        raise InputError(label, f"STOP_TIME {stop - start:+.3f} s after START_TIME", "a time after START_TIME")
+    require(start < stop, label, f"STOP_TIME {stop - start:+.3f} s after START_TIME", "a time after START_TIME")
     if place == "mean":
         return _mean(label, lines, start, stop)
     if place is None:
@@ -116,8 +115,7 @@ def read_line_times(place: LineTimesPlace, lines: int, start: float, stop: float
 
 def _mean(label: str, lines: int, start: float, stop: float) -> LineTimes:
     """STOP_TIME is that of the last line's beginning."""
-    if lines < 2:
-        raise InputError(label, "one line", "at least two for a mean line rate")
+    require(lines >= 2, label, "one line", "at least two for a mean line rate")
     with errors_from(f"{label}, START_TIME, STOP_TIME and lines"):
         return _times(np.zeros(1), np.array([start]), np.array([(stop - start) / (lines - 1)]), lines)
 

@@ -36,7 +36,7 @@ Imager of Kaguya (SELENE).
 import re
 from dataclasses import replace
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.cameras.camera import (
     Camera,
     Interior,
@@ -184,16 +184,14 @@ def _without_masked(block: LabelBlock, label: LineScanLabel) -> LineScanLabel:
     if block.kind == "isis":
         return label
     summing = int(label.sample_summing)
-    if label.sample_summing not in (1.0, 2.0):
-        raise InputError(str(label.path), f"summing {label.sample_summing:g}", "1 or 2")
+    require(label.sample_summing in (1.0, 2.0), str(label.path), f"summing {label.sample_summing:g}", "1 or 2")
     whole = label.first_sample == 0.0
     if whole and label.samples != _LINE // summing:
         found = f"{label.samples} samples from the first pixel on"
         expected = f"{_LINE // summing}, masked ones included"
         raise InputError(str(label.path), found, expected, "take the archive's file, or its cube (mroctx2isis)")
     masked = sum(_MASKED if whole else _MASKED_IN_PART) // summing
-    if label.samples <= masked:
-        raise InputError(str(label.path), f"{label.samples} samples", f"more than the {masked} masked ones")
+    require(label.samples > masked, str(label.path), f"{label.samples} samples", f"more than the {masked} masked ones")
     return replace(label, samples=label.samples - masked)
 
 
@@ -411,8 +409,7 @@ def _terrain_by_instrument_kernel(keywords: Keywords, label: LineScanLabel) -> I
 def _swath(block: LabelBlock, label: LineScanLabel) -> LineScanLabel:
     key = "SwathModeId" if block.kind == "isis" else "SWATH_MODE_ID"
     mode = block.text(key).upper()
-    if mode not in _FIRST_PIXEL:
-        raise InputError(block.where(key), repr(mode), f"one of {', '.join(_FIRST_PIXEL)}")
+    require(mode in _FIRST_PIXEL, block.where(key), repr(mode), f"one of {', '.join(_FIRST_PIXEL)}")
     return replace(label, first_sample=label.first_sample + _FIRST_PIXEL[mode])
 
 

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from mgsgraph.errors import InputError, errors_from
+from mgsgraph.errors import InputError, errors_from, require
 from mgsgraph.files.cameras.camera import LineScanLabel, LineTimes, NaifKeywords, number
 from mgsgraph.files.cameras.label import is_map_projected, label_of
 from mgsgraph.files.labels.aberration import Aberration, aberration_of, geometric, remarks_on, spacecraft_of
@@ -214,8 +214,7 @@ def _of_cube(path: Path, label: Block, name: str) -> CubeTable:
         if block.text("Type").lower() != "double" or block.count("Size") != 1:
             raise InputError(block.where(), f"a field of {block.count('Size')} {block.text('Type')}", "one Double")
     records, start, size = label.count("Records"), label.count("StartByte") - 1, label.count("Bytes")
-    if size != records * len(fields) * 8:
-        raise InputError(where, f"{size} bytes", f"{records} records of {len(fields)} doubles")
+    require(size == records * len(fields) * 8, where, f"{size} bytes", f"{records} records of {len(fields)} doubles")
     order = ">" if label.text("ByteOrder").lower() == "msb" else "<"
     with opened(detached_file(path, label), ANY_SIZE) as file:
         available = max(os.fstat(file.fileno()).st_size - start, 0)
@@ -225,8 +224,7 @@ def _of_cube(path: Path, label: Block, name: str) -> CubeTable:
         file.seek(start)
         raw = file.read(size)
     numbers = np.frombuffer(raw, f"{order}f8").astype(np.float64).reshape(records, len(fields))
-    if not (np.abs(numbers) < _LARGEST).all():
-        raise InputError(where, "values that are no numbers", "finite ones")
+    require((np.abs(numbers) < _LARGEST).all(), where, "values that are no numbers", "finite ones")
     kind = "Ck" if "Rotation" in name or "Pointing" in name else "Spk"
     ends = (f"{kind}Table{end}Time" for end in ("Start", "End"))
     first, last = (label.number(key) if key in label else None for key in ends)
@@ -295,8 +293,7 @@ def read_isis_cube(
     content = read_json(json_path) if json_path else None
     tables = tables_of_json(content, str(json_path)) if content else tables_of_label(label_path, root)
     for table in _TABLES:
-        if table not in tables:
-            raise InputError(str(path), f"no table {table}", "the tables of spiceinit", _NO_TABLES)
+        require(table in tables, str(path), f"no table {table}", "the tables of spiceinit", _NO_TABLES)
     mapped = ("the camera's image that its map was made of",) if is_map_projected(root) else ()
     with errors_from(str(path)):
         keywords = _keywords(content, str(json_path or label_path), label)

@@ -16,7 +16,7 @@ import numpy as np
 import spiceypy
 from spiceypy.utils.exceptions import NotFoundError, SpiceyError
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.labels.kernel_files import require_summaries, require_uncut, require_whole
 from mgsgraph.files.opening import LARGEST_TEXT, finite_number, read_bytes
 from mgsgraph.geometry import rotation
@@ -90,13 +90,11 @@ def _text_of(path: Path) -> bytes:
     require_whole(path)
     with spice_words(str(path)):
         kind, _ = spiceypy.getfat(str(path))
-    if kind == "XFR":
-        raise InputError(str(path), "a transfer file", "a binary kernel", "convert it with NAIF's tobin")
+    require(kind != "XFR", str(path), "a transfer file", "a binary kernel", "convert it with NAIF's tobin")
     if kind in ("DAF", "DAS"):
         return b""
     text = read_bytes(path, LARGEST_TEXT)
-    if b"\\begindata" not in text:
-        raise InputError(str(path), "no SPICE kernel", "a binary kernel, or a text kernel with \\begindata")
+    require(b"\\begindata" in text, str(path), "no SPICE kernel", "a binary kernel, or a text kernel with \\begindata")
     require_uncut(path, text)
     return text
 
@@ -347,8 +345,7 @@ def fixed_rotation(from_frame: int, to_frame: int, time: float = 0.0) -> Array:
     with spice_words(f"frames {from_frame} and {to_frame}", "load the instrument or frames kernel"):
         names = [spiceypy.frmnam(frame) for frame in (from_frame, to_frame)]
         for frame, name in zip((from_frame, to_frame), names, strict=True):
-            if not name:
-                raise InputError("kernels", f"no frame {frame}", remedy="load the instrument or frames kernel")
+            require(name, "kernels", f"no frame {frame}", remedy="load the instrument or frames kernel")
         return np.asarray(spiceypy.pxform(names[0], names[1], time), dtype=np.float64)
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import spiceypy
 
-from mgsgraph.errors import InputError, errors_from
+from mgsgraph.errors import InputError, errors_from, require
 from mgsgraph.files.cameras.camera import Camera, Keywords, LineScanLabel, LineTimes, LineTimesSource
 from mgsgraph.files.cameras.label import read_line_scan_label
 from mgsgraph.files.labels.kernels import (
@@ -109,8 +109,7 @@ def read_pass_images(
         line times for a camera that needs none.
     """
     sampling = _Sampling(**how)
-    if not labels:
-        raise InputError("pass", "no label", "at least one")
+    require(labels, "pass", "no label", "at least one")
     if len(names or labels) != len(labels) or len(line_times or labels) != len(labels):
         found = f"{len(names)} names and {len(line_times)} line times for {len(labels)} labels"
         raise InputError("pass", found, "one each, or none")

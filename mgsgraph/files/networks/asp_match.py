@@ -27,7 +27,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.networks.asp_text import (
     FROM_ASP,
     RENAME,
@@ -39,7 +39,7 @@ from mgsgraph.files.networks.asp_text import (
 from mgsgraph.files.networks.record import ControlNetwork, MeasureType, PointType, with_names
 from mgsgraph.files.networks.tie_points import PointArrays
 from mgsgraph.files.opening import number_of, read_bytes
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, place_of
 from mgsgraph.names import Names, RepeatedNames
 from mgsgraph.text import root_mean_square, some
 
@@ -89,13 +89,10 @@ def read_match(path: Path, images: tuple[str, str]) -> MatchFile:
         If it is missing, cut short or longer than it says, its counts differ, or a place or scale is no finite number.
     """
     data = read_bytes(path)
-    if len(data) < _HEAD:
-        raise InputError(str(path), f"{len(data)} bytes", _EXPECTED)
+    require(len(data) >= _HEAD, str(path), f"{len(data)} bytes", _EXPECTED)
     first, second = np.frombuffer(data, _COUNTS, 2).tolist()
-    if first != second:
-        raise InputError(str(path), f"{first} places in one image, {second} in the other", "as many in both")
-    if first == 0:
-        raise InputError(str(path), "no match", "at least one")
+    require(first == second, str(path), f"{first} places in one image, {second} in the other", "as many in both")
+    require(first != 0, str(path), "no match", "at least one")
     if first + second > (len(data) - _HEAD) // _RECORD.itemsize:
         raise InputError(str(path), f"{len(data)} bytes for {first} matches", _EXPECTED, "it is cut short, or no such")
     records = _records(data, first + second, str(path)).reshape(2, first)
@@ -114,8 +111,7 @@ def _records(data: bytes, count: int, where: str) -> np.ndarray:
         position += size + _DESCRIPTOR * number
         if position > len(data):
             raise InputError(where, f"place {k + 1} of {count} lies beyond its end", _EXPECTED, "it is cut short")
-    if position != len(data):
-        raise InputError(where, f"{len(data) - position} bytes after the last place", _EXPECTED)
+    require(position == len(data), where, f"{len(data) - position} bytes after the last place", _EXPECTED)
     rows = np.frombuffer(data, np.uint8)[starts[:, None] + np.arange(size)]
     return np.asarray(rows.view(_RECORD)[:, 0])
 
@@ -128,8 +124,7 @@ def read_match_text(path: Path, images: tuple[str, str]) -> MatchFile:
             raise InputError(where, f"{len(fields)} fields", "six numbers: x1 y1 unc1 x2 y2 unc2")
         rows.append([number_of(text, where) for text in fields])
         places.append(where)
-    if not rows:
-        raise InputError(str(path), "no match", "at least one")
+    require(rows, str(path), "no match", "at least one")
     table = np.array(rows, dtype=np.float64).reshape(-1, 2, 3).swapaxes(0, 1)
     for k in np.flatnonzero(np.any(table[..., 2] <= 0.0, axis=0))[:1]:
         raise InputError(places[k], f"uncertainty {table[:, k, 2].min():g} px", "a positive one")
@@ -162,8 +157,7 @@ def match_files(network: ControlNetwork, prefix: Path, text: bool = False) -> di
         If there is no such point, or two images have files of one name.
     """
     measures = measures_of(network, {PointType.FREE}, least=2)
-    if not measures.points:
-        raise InputError(network.source or "network", "no free point that two images see", "at least one")
+    require(measures.points, network.source or "network", "no free point that two images see", "at least one")
     require_distinct(measures.images)
     if not np.all(np.abs(measures.pixels) < _LARGEST):
         raise InputError(network.source or "network", "a place beyond 2^31 pixels", "a place in an image")
@@ -257,9 +251,7 @@ def _distinct(image: Index, places: Array) -> tuple[Index, Index]:
     keys = np.column_stack([image.astype(np.float64), places]) + 0.0  # -0.0 is 0.0
     _, first, which = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     order = np.argsort(first, kind="stable")
-    rank = np.empty_like(order)
-    rank[order] = np.arange(len(order))
-    return first[order], rank[which.reshape(-1)]
+    return first[order], place_of(order, order.size)[which.reshape(-1)]
 
 
 def _network(
@@ -270,8 +262,7 @@ def _network(
     twice = (np.diff(track) == 0) & (np.diff(image) == 0)
     wrong = np.unique(track[1:][twice])
     fine = np.isin(track, wrong, invert=True)
-    if not np.any(fine):
-        raise InputError(source, f"only contradictory matches ({len(wrong)} points)", "one place of a point per image")
+    require(np.any(fine), source, f"only contradictory matches ({len(wrong)} points)", "one place of a point per image")
     first = np.flatnonzero(np.diff(track[fine], prepend=-1, append=-1))
     n, k = first.size - 1, int(first[-1])
     places, sigmas = places[fine] + FROM_ASP, np.where(sigmas[fine] > 0.0, sigmas[fine], np.nan)
@@ -360,8 +351,7 @@ def require_distinct(images: Collection[str]) -> None:
     stems = dict[str, str]()
     for image in images:
         name = stem(image)
-        if not name or "\0" in name:
-            raise InputError(f"image {image!r}", "a name that no file can have", remedy=RENAME)
+        require(name and "\0" not in name, f"image {image!r}", "a name that no file can have", remedy=RENAME)
         if stems.setdefault(name, image) != image:
             found = f"the same name as {stems[name]} without folder and ending ({name})"
             raise InputError(f"image {image}", found, "a name of its own in match files", RENAME)

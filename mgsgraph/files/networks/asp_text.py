@@ -32,7 +32,7 @@ from pathlib import Path
 import numpy as np
 from msgspec import structs
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.datum import NAMED, datum_of_wkt, is_same, require_same, wkt_of
 from mgsgraph.files.networks.record import (
     ControlMeasure,
@@ -230,8 +230,7 @@ def read_ground_control_network(path: Path, body: Ellipsoid, datum: Ellipsoid | 
             found = f"the id twice, first in{points[fields[0]][0].removeprefix(f'{path},')}"
             raise InputError(where, found, "each id once")
         points[fields[0]] = line, _gcp_point(fields, ellipsoid, where)
-    if not points:
-        raise InputError(str(path), "no ground control point", "one per line: id latitude longitude height sigmas")
+    require(points, str(path), "no ground control point", "one per line: id latitude longitude height sigmas")
     return with_names(ControlNetwork("", "", tuple(point for _, point in points.values()), source=str(path)))
 
 
@@ -362,10 +361,8 @@ def read_offsets(path: Path) -> dict[str, tuple[float, float]]:
     """Read the optical centres; InputError with the line for what is malformed or stands twice."""
     centres: dict[str, tuple[float, float]] = {}
     for where, fields in filled_lines(path):
-        if len(fields) != 3:
-            raise InputError(where, f"{len(fields)} fields", "image, column, row")
-        if fields[0] in centres:
-            raise InputError(where, f"image {fields[0]} twice", "each image once")
+        require(len(fields) == 3, where, f"{len(fields)} fields", "image, column, row")
+        require(fields[0] not in centres, where, f"image {fields[0]} twice", "each image once")
         centres[fields[0]] = number_of(fields[2], where), number_of(fields[1], where)
     return centres
 
@@ -406,16 +403,13 @@ def read_nvm(path: Path, centres: Centres | None = None, shifted: bool = True) -
         return range(1, count + 1)
 
     where, head = following("the first line")
-    if not head[0].startswith(_FIRST):
-        raise InputError(where, f"{head[0][:40]!r}", _FIRST)
+    require(head[0].startswith(_FIRST), where, f"{head[0][:40]!r}", _FIRST)
     cameras = [_camera(*following("the last camera")) for _ in counted("cameras")]
-    if len(set(cameras)) != len(cameras):
-        raise InputError(str(path), "an image twice among its cameras", "each image once")
+    require(len(set(cameras)) == len(cameras), str(path), "an image twice among its cameras", "each image once")
     centres = _centres(path, cameras, centres) if shifted else dict.fromkeys(cameras, (0.0, 0.0))
     points = tuple(_nvm_point(*following(f"point {k}"), k, cameras, centres) for k in counted("points"))
     for where, fields in lines:  # VisualSFM ends the list of models with 0, the pipeline with the file
-        if fields != ["0"]:
-            raise InputError(where, "more after the last point", "one model")
+        require(fields == ["0"], where, "more after the last point", "one model")
         break
     return with_names(ControlNetwork("", "", points, source=str(path)))
 
@@ -481,13 +475,10 @@ def nvm_files(network: ControlNetwork, path: Path, centres: Centres) -> dict[Pat
     """
     measures = measures_of(network, _ALL_TYPES, least=2)
     where = network.source or "network"
-    if not measures.points:
-        raise InputError(where, "no point that two images see", "at least one")
+    require(measures.points, where, "no point that two images see", "at least one")
     for name in measures.images:
-        if name not in centres:
-            raise InputError(where, f"no size of image {name}", "the size of each image", _REMEDY)
-        if len(name.split()) != 1:
-            raise InputError(f"image {name!r}", "a name with blanks", "a name without", RENAME)
+        require(name in centres, where, f"no size of image {name}", "the size of each image", _REMEDY)
+        require(len(name.split()) == 1, f"image {name!r}", "a name with blanks", "a name without", RENAME)
     cameras = [f"{name} {_CAMERA}" for name in measures.images]
     points = _point_lines(measures, centres)
     text = "\n".join([_FIRST, str(len(cameras)), *cameras, str(len(points)), *points, ""])

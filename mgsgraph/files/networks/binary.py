@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from msgspec.structs import replace
 
-from mgsgraph.errors import InputError, errors_from
+from mgsgraph.errors import InputError, errors_from, require
 from mgsgraph.files.networks.messages import (
     Texts,
     encoded,
@@ -129,8 +129,7 @@ def binary_content(data: bytes, source: str) -> BinaryContent:
             _behind_sizes(data, start, size, source) if sizes is None else _by_sizes(data, start, sizes, source)
         )
     header = _head_of(head, version, source)
-    if not end.size:
-        raise InputError(source, "no control point", "an ISIS control network that has some")
+    require(end.size, source, "no control point", "an ISIS control network that has some")
     return BinaryContent(header, data, begin, end)
 
 
@@ -173,8 +172,7 @@ def _header(data: bytes, version: str, buffer: Block, source: str) -> tuple[Any,
 
 
 def _radii(values: Sequence[float]) -> tuple[float, ...]:
-    if len(values) not in (0, 3):
-        raise InputError("TargetRadii", f"{len(values)} numbers", "3")
+    require(len(values) in (0, 3), "TargetRadii", f"{len(values)} numbers", "3")
     return tuple(finite(value, "TargetRadii") for value in values)
 
 
@@ -213,8 +211,7 @@ def _anew() -> Iterator[None]:
 
 def _bytes(core: Block, key: str) -> int:
     text = core.text(key)
-    if not re.fullmatch(r"\d{1,18}", text, re.ASCII):
-        raise InputError(core.where(key), repr(text[:60]), "a number of bytes")
+    require(re.fullmatch(r"\d{1,18}", text, re.ASCII), core.where(key), repr(text[:60]), "a number of bytes")
     return int(text)
 
 
@@ -384,8 +381,7 @@ def write_binary_network(network: ControlNetwork, path: Path) -> None:
 
 def binary_network(network: ControlNetwork) -> bytes:
     """What `write_binary_network` writes."""
-    if not network.points:
-        raise InputError(network.source or "network", "no control point", "some to write")
+    require(network.points, network.source or "network", "no control point", "some to write")
     points, measures = points_content(network.points, network.where), sum(len(p.measures) for p in network.points)
     header = network_header(network)
     label = network_label(network, len(network.points), measures, len(header), len(points))

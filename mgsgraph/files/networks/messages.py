@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cache
 from typing import Any
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.networks.record import AprioriSource, ControlMeasure, ControlPoint, MeasureType, PointType
 
 _HEADER = (
@@ -316,5 +316,4 @@ def _set(message: Any) -> dict[str, Any]:
 
 
 def _require_same(found: int, expected: int, where: str) -> None:
-    if found != expected:
-        raise InputError(where, f"{found}", f"{expected}, as in Core", "the file is damaged: write it again")
+    require(found == expected, where, f"{found}", f"{expected}, as in Core", "the file is damaged: write it again")

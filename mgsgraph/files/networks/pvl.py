@@ -24,7 +24,7 @@ from typing import Any, TypeVar
 import numpy as np
 from msgspec import structs
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.networks.record import (
     AprioriSource,
     ControlMeasure,
@@ -401,8 +401,7 @@ def write_pvl_network(network: ControlNetwork, path: Path) -> None:
 def network_text(network: ControlNetwork) -> str:
     """What `write_pvl_network` writes."""
     where = network.source or "network"
-    if not network.points:
-        raise InputError(where, "no control point", "some to write")
+    require(network.points, where, "no control point", "some to write")
     head: _Keywords = [
         (key, text_value(getattr(network, attribute), f"{where}, {key}")) for key, attribute in HEAD_TEXTS.items()
     ]

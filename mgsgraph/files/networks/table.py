@@ -20,7 +20,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.csv_columns import (
     CARTESIAN,
     FLAGS,
@@ -257,8 +257,7 @@ def _read(path: Path, body: Ellipsoid | None) -> tuple[PointArrays, Index, Index
     names = header_of(tuple(table.values), f"{path}, {table.header}")
     table = replace(table, values=dict(zip(names, table.values.values(), strict=True)))
     table = table.chosen(np.flatnonzero(np.any([table.filled(name) for name in names], axis=0)))
-    if not table.numbers.size:
-        raise InputError(str(path), "no point", "one measure in every row below the header")
+    require(table.numbers.size, str(path), "no point", "one measure in every row below the header")
     coded = table.values["id"].dictionary_encode()
     point = np.asarray(coded.indices).astype(np.int64)
     rows = _Rows(table, point, np.unique(point, return_index=True)[1])

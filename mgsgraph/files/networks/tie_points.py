@@ -23,6 +23,7 @@ from mgsgraph.geometry.records import (
     frozen,
     frozen_index,
     of_kind,
+    place_of,
     repeated,
     require_covariances,
     require_names,
@@ -117,8 +118,7 @@ class TiePoints(Record):
 
     def chosen(self, which: Index) -> "TiePoints":
         """Some of the points, by their numbers, with their measures in the order in which they were."""
-        new = np.full(len(self.ids), -1, dtype=np.int64)
-        new[which] = np.arange(which.size)
+        new = place_of(which, len(self.ids))
         left = self.with_measures(new[self.measure_point] >= 0)
         return replace(
             left,
@@ -129,8 +129,8 @@ class TiePoints(Record):
             measure_point=new[left.measure_point],
         )
 
-    def with_measures(self, which: Mask) -> "TiePoints":
-        """All of the points, with some of their measures (k,)."""
+    def with_measures(self, which: Mask | Index) -> "TiePoints":
+        """All of the points, with some of their measures (k,), or these in another order."""
         return replace(
             self,
             measure_point=self.measure_point[which],

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from mgsgraph.atomic_write import is_aside, made_beside, put_in_place, resolved, sweep
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.opening import read_json
 from mgsgraph.files.writing import MATCH as MATCH  # makes a folder without any of the others matches by this program
 from mgsgraph.files.writing import require_folder_above, require_writable
@@ -134,8 +134,7 @@ def require_replaceable(path: str | Path, record: str = RECORD) -> None:
             require_folder_above(target, shown, _ELSEWHERE)
             require_writable(next(parent for parent in target.parents if parent.exists()))
             return
-        if not target.is_dir():
-            raise InputError(shown, "exists and is a file", "a folder for the results", _ELSEWHERE)
+        require(target.is_dir(), shown, "exists and is a file", "a folder for the results", _ELSEWHERE)
         if target in (Path.cwd(), *Path.cwd().parents):
             found = "is the folder you are in" if target == Path.cwd() else "holds the folder you are in"
             raise InputError(shown, f"{found}, and would be replaced", remedy=_ELSEWHERE)

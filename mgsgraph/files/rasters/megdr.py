@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.geometric_keys import GRID_LABEL, all_blocks, require_once, require_usual, texts
 from mgsgraph.files.opening import ANY_SIZE, opened, read_text, understood
 from mgsgraph.files.pvl import Block, Document, files_called, flat_label, whole_label
@@ -166,8 +166,7 @@ def _files(path: Path) -> tuple[Path, Path | None]:
 
 def _kind(name: str, where: str) -> TerrainKind:
     letter = name[3:4].upper() if name[:3].upper() == "MEG" else ""
-    if letter not in _KINDS:
-        raise InputError(where, f"the product {name!r}", _NAMES)
+    require(letter in _KINDS, where, f"the product {name!r}", _NAMES)
     return _KINDS[letter]
 
 
@@ -200,8 +199,7 @@ def _from_label(path: Path, image: Path) -> _Layout:
         require_usual(texts(block), GRID_LABEL, str(path))
     _require_one_kind(label, image)
     projection = label.text("MAP_PROJECTION_TYPE").upper().replace("_", " ")
-    if projection != "SIMPLE CYLINDRICAL":
-        raise InputError(f"{path}, MAP_PROJECTION_TYPE", projection, "SIMPLE CYLINDRICAL")
+    require(projection == "SIMPLE CYLINDRICAL", f"{path}, MAP_PROJECTION_TYPE", projection, "SIMPLE CYLINDRICAL")
     kind = _kind(label.text("PRODUCT_ID") if "PRODUCT_ID" in label else image.name, str(path))
     sample = f"{label.text('SAMPLE_TYPE').upper()} {label.count('SAMPLE_BITS')}"
     types = _SAMPLES | (_COUNTS if kind == "counts" else {})

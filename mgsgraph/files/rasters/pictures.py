@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.cameras.camera import LineScanLabel
 from mgsgraph.files.cameras.label import label_of
 from mgsgraph.files.opening import opened, understood
@@ -103,8 +103,7 @@ def is_moc(path: Path) -> bool:
 def _opened_band(path: Path) -> Iterator["DatasetReader"]:
     """An image's raster, opened; InputError where it has several bands, or pixels that are no grey values."""
     with open_raster(path, "an image") as file:
-        if file.count != 1:
-            raise InputError(str(path), f"{file.count} bands", "one band")
+        require(file.count == 1, str(path), f"{file.count} bands", "one band")
         if not file.dtypes[0].startswith(("int", "uint", "float")):
             raise InputError(str(path), f"pixels of type {file.dtypes[0]}", "grey values")
         yield file
@@ -228,11 +227,10 @@ def _require_size(label: LineScanLabel, area: PixelArea) -> None:
     """Raise InputError unless the file is as long as its label says."""
     plain = area.offset + label.lines * (area.prefix + label.samples + area.suffix)
     expected, size = area.file_size if area.encoding else plain, area.file.stat().st_size
-    if size < expected:
-        raise InputError(
-            str(area.file), f"{size} bytes", f"{expected} for {label.lines} lines of {label.samples} samples",
-            "it is cut short: fetch it again",
-        )
+    require(
+        size >= expected, str(area.file), f"{size} bytes",
+        f"{expected} for {label.lines} lines of {label.samples} samples", "it is cut short: fetch it again",
+    )  # fmt: skip
 
 
 def _plain(label: LineScanLabel, area: PixelArea) -> Pixels:
@@ -268,6 +266,5 @@ def _checked(label: LineScanLabel, file: Path, pixels: Any) -> Pixels:
     if not isinstance(pixels, np.ndarray) or pixels.shape != shape:
         found = f"an array of shape {pixels.shape}" if isinstance(pixels, np.ndarray) else "no image"
         raise InputError(str(file), found, f"{shape[0]} x {shape[1]} pixels", "it is damaged: fetch it again")
-    if pixels.dtype != np.uint8:
-        raise InputError(str(file), f"pixels of type {pixels.dtype}", "unsigned bytes, as they came down")
+    require(pixels.dtype == np.uint8, str(file), f"pixels of type {pixels.dtype}", "unsigned bytes, as they came down")
     return np.ascontiguousarray(pixels)

@@ -39,7 +39,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.opening import ANY_SIZE, head_of, opened, read_bytes, understood
 from mgsgraph.files.pvl import Block, Document, files_called, label_text, whole_label
 from mgsgraph.geometry.body import Ellipsoid, naif_id, target_name
@@ -324,8 +324,7 @@ def _require_own(file: "DatasetReader", path: Path) -> None:
     """Raise InputError where an open raster leads to another one, has no band, or no place that is finite."""
     if file.tags(ns="OVERVIEWS"):
         _refuse(path, "overviews in another file")
-    if file.count < 1:
-        raise InputError(str(path), "a file of several rasters", "one", "choose one: gdal_translate")
+    require(file.count >= 1, str(path), "a file of several rasters", "one", "choose one: gdal_translate")
     bits = file.tags(1, ns="IMAGE_STRUCTURE").get("NBITS", "8")
     if bits not in ("8", "16", "32"):
         raise InputError(str(path), f"pixels of {bits} bits", "8, 16 or 32", "gdal_translate -co NBITS=16")

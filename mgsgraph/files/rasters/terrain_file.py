@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.datum import ellipsoid_of, require_surface, vertical_of
 from mgsgraph.files.rasters.raster_file import open_raster, raster_understood, read_band, require_in_file
 from mgsgraph.geometry.body import Ellipsoid, from_geodetic, from_planetocentric, geodetic, in_turn, planetocentric
@@ -342,11 +342,10 @@ def read_terrain(
                 return None
             rows, columns = around
         values = _values(file, rows, columns, path)
-    if kind == "topography" and not projection.by_meridians:
-        raise InputError(
-            str(path), f"topography in the projection {projection.name!r}",
-            "geographic or simple cylindrical coordinates on a sphere", "give areoid, and heights above it as radius",
-        )  # fmt: skip
+    require(
+        kind != "topography" or projection.by_meridians, str(path), f"topography in the projection {projection.name!r}",
+        "geographic or simple cylindrical coordinates on a sphere", "give areoid, and heights above it as radius",
+    )  # fmt: skip
     _require_plausible(values, reference, kind, path, body)
     raster = TerrainRaster(
         str(path), values, projection.cut(rows.start, int(columns[0])), reference, vertical_sigma, planimetric_sigma
@@ -416,8 +415,7 @@ def _by_meridians(raster: TerrainRaster, kind: TerrainKind, turn: float | None) 
 def _require_plausible(
     values: NDArray[Any], reference: Reference, kind: TerrainKind, path: Path, body: Ellipsoid | None
 ) -> None:
-    if not np.any(np.isfinite(values)):
-        raise InputError(str(path), "no valid value", "a terrain model")
+    require(np.any(np.isfinite(values)), str(path), "no valid value", "a terrain model")
     extremes = np.array([np.nanmin(values), np.nanmax(values)], dtype=np.float64)
     if reference == 0.0 and kind != "topography" and extremes[0] < 1e5:
         raise InputError(

@@ -17,7 +17,7 @@ import msgspec
 import numpy as np
 from msgspec import structs
 
-from mgsgraph.errors import InputError, errors_from
+from mgsgraph.errors import InputError, errors_from, require
 from mgsgraph.files.cameras.camera import NaifKeywords
 from mgsgraph.files.cameras.line_scanners import ATTITUDE_BIAS, CORRECTIONS, MI, PITCH, corrected, themis_of_line
 from mgsgraph.files.cameras.other_sensors import model_words
@@ -91,11 +91,10 @@ def read_isd(path: Path, name: str, aberration: Aberration | None = None) -> Pus
             "ALE's layout (instrument_position, instrument_pointing, body_rotation)",
             "write it with ale.loads/isd_generate",
         )
-    if is_cube_json(content):
-        raise InputError(
-            source, "the tables of an ISIS cube, without its camera", "support data of an image",
-            "name it as image = ..., with the cube's label beside it",
-        )  # fmt: skip
+    require(
+        not is_cube_json(content), source, "the tables of an ISIS cube, without its camera", "support data of an image",
+        "name it as image = ..., with the cube's label beside it",
+    )  # fmt: skip
     require_usual({key: str(value) for key, value in content.items()}, SUPPORT_DATA, source)
     support = validated(content, SupportData, source)
     _require_no_slips(content, SupportData, source)

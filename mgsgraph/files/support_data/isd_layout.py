@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 import numpy as np
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.decoding import Count, Number, Positive
 from mgsgraph.geometry.camera import (
     CahvorDistortion,
@@ -99,8 +99,7 @@ def distortion_of_support(models: Mapping[str, Mapping[str, Any]], focal_length:
     """
     if not models:
         return NoDistortion()
-    if len(models) > 1:
-        raise InputError(where, f"{len(models)} models: {', '.join(models)}", "one")
+    require(len(models) <= 1, where, f"{len(models)} models: {', '.join(models)}", "one")
     ((stated, values),) = models.items()
     name = stated.lower()
     model = _model_named(name, f"the model {stated!r}", where)
@@ -126,10 +125,8 @@ def distortion_of_state(number: int, coefficients: list[float], focal_length: fl
 
 
 def _model_named(name: str, found: str, where: str) -> _Model:
-    if name in _FRAMING:
-        raise InputError(where, f"{found}, of a framing camera", f"a line scanner's: {KNOWN}")
-    if name not in _MODELS:
-        raise InputError(where, found, f"{KNOWN}, or none at all")
+    require(name not in _FRAMING, where, f"{found}, of a framing camera", f"a line scanner's: {KNOWN}")
+    require(name in _MODELS, where, found, f"{KNOWN}, or none at all")
     return _MODELS[name]
 
 
@@ -140,8 +137,7 @@ def _listed(values: Any) -> list[Any]:
 def _numbers(values: Any, where: str, size: int) -> list[float]:
     listed = _listed(values)
     good = all(isinstance(v, int | float) and not isinstance(v, bool) and abs(v) < 1e300 for v in listed)
-    if not good or len(listed) != size:
-        raise InputError(where, f"{listed}"[:60], f"{size} finite numbers")
+    require(good and len(listed) == size, where, f"{listed}"[:60], f"{size} finite numbers")
     return [float(value) for value in listed]
 
 

@@ -15,7 +15,7 @@ from typing import Annotated, Any, TypeVar
 import msgspec
 import numpy as np
 
-from mgsgraph.errors import InputError, errors_from
+from mgsgraph.errors import InputError, errors_from, require
 from mgsgraph.files.cameras.other_sensors import model_words
 from mgsgraph.files.decoding import Count, Number, Positive, validated
 from mgsgraph.files.labels.aberration import spacecraft_named
@@ -191,11 +191,10 @@ def _second_statements(state: _State, image: PushbroomImage, source: str) -> Ite
 
 def _require_plain(state: _State, source: str) -> None:
     """Refuse what usgscsm would compute besides its tables."""
-    if any(state.m_currentParameterValue):
-        raise InputError(
-            f"{source}, m_currentParameterValue", "parameters that are not zero", "zeros",
-            "apply them to positions and quaternions, as bundle_adjust and jitter_solve do",
-        )  # fmt: skip
+    require(
+        not any(state.m_currentParameterValue), f"{source}, m_currentParameterValue", "parameters that are not zero",
+        "zeros", "apply them to positions and quaternions, as bundle_adjust and jitter_solve do",
+    )  # fmt: skip
     if state.m_zDirection != 1.0:
         raise InputError(f"{source}, m_zDirection", f"{state.m_zDirection:g}", "1, as usgscsm itself makes states")
 

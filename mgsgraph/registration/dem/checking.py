@@ -21,7 +21,7 @@ import numpy as np
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.case.reading import read_profile
 from mgsgraph.case.schema import CaseInput, ShotsInput
-from mgsgraph.errors import InputError
+from mgsgraph.errors import require
 from mgsgraph.files.altimetry.shots import read_shots
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.body import east_north, east_north_up
@@ -116,8 +116,7 @@ def check_profiles(
     )  # fmt: skip
     entries += [(common, read_shots(file)) for file in more]
     for file, (_, shots) in zip(more, entries[len(stated) :], strict=True):
-        if not np.any(shots.ground):
-            raise InputError(str(file), f"{shots.times.size} shots, none from the ground", "ground returns")
+        require(np.any(shots.ground), str(file), f"{shots.times.size} shots, none from the ground", "ground returns")
     checked = (
         _unused(posterior, entry, part, used, name)
         for entry, shots in entries for name, part in _by_shifts(shots, posterior.network.shift_names)

@@ -47,7 +47,7 @@ _MISFIT = "root of the misfit above the best (sigmas)"
 
 def relief_sheets(registration: ReliefRegistration) -> Iterator[Sheet]:
     """Cost surfaces and heights of the profiles that most need a look, those without a clear minimum first, then by
-    how far they were off; and the shifts of all.
+    how far they were off.
     """
     profiles = registration.profiles
     misplacements = [float(np.nan_to_num(np.linalg.norm(profile.before.misplacement))) for profile in profiles]
@@ -58,7 +58,6 @@ def relief_sheets(registration: ReliefRegistration) -> Iterator[Sheet]:
         name = sheet_name("profiles", k + 1, len(shown))
         yield _posts_sheet(profiles[p], name) if profiles[p].of_posts else _profile_sheet(registration, profiles[p],
                                                                                           name)
-    yield _shift_sheet(registration)
 
 
 # --- cost surfaces
@@ -232,20 +231,3 @@ def _profile_caption(profile: ReliefProfile) -> str:
 
 
 # --- shifts of all
-
-
-@plain_style()
-def _shift_sheet(registration: ReliefRegistration) -> Sheet:
-    """Shift of each profile onto the stereo surface, before and after."""
-    profiles = registration.profiles
-    shifts = [np.array([getattr(profile, state).misplacement for profile in profiles]) for state in _STATES]
-    largest = [number(float(np.nanmax(np.linalg.norm(vectors, axis=1), initial=0.0))) for vectors in shifts]
-    caption = f"The largest shift onto the stereo surface is {largest[0]} m before and {largest[1]} m after."
-    sheet = new_sheet("shifts", 6.4, 4.4, f"Shifts onto the stereo surface: {short(registration.name, 24)}", caption)
-    panel = sheet.panels()[0, 0]
-    for values, label, colour in zip(shifts, _STATES, (BEFORE, AFTER), strict=True):
-        panel.plot(*values.T, ls="", marker="o", ms=5.0, color=colour, label=label)
-    panel.plot(0.0, 0.0, "+", ms=10, color=INK)
-    panel.set(xlabel="east (m)", ylabel="north (m)", aspect="equal", adjustable="datalim")
-    sheet.legend(panel.get_legend_handles_labels()[0])
-    return sheet

@@ -27,7 +27,7 @@ from matplotlib.ticker import Locator
 from numpy.typing import NDArray
 from PIL import Image
 
-from mgsgraph.analysis.statistics import SHARE, counts
+from mgsgraph.analysis.statistics import SHARE
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import PointClass
 from mgsgraph.record import Record
@@ -218,7 +218,7 @@ def means(values: Array, groups: Index, number: int) -> Array:
     """(number,) mean of the finite values (n,) of each group (n,), counted from 0; NaN where there are none."""
     finite = np.isfinite(values)
     values, groups = values[finite], groups[finite]
-    group_sizes = counts(groups, number)
+    group_sizes = np.bincount(groups, minlength=number)
     total = np.bincount(groups, weights=values, minlength=number)
     return np.where(group_sizes > 0, total / np.maximum(group_sizes, 1), np.nan)
 

@@ -15,8 +15,8 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.estimates import PixelEstimate
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.case.reading import Case, adjust, read_case
-from mgsgraph.errors import InputError
-from mgsgraph.files.output.table import Column, Table
+from mgsgraph.errors import InputError, require
+from mgsgraph.files.output.table import Table
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.records import Array, thinned
 from mgsgraph.matching.patches import has_opencv
@@ -25,6 +25,7 @@ from mgsgraph.network.footprints import Misregistration, misregistration, on_gro
 from mgsgraph.registration.case import CaseRegistration, register_case
 from mgsgraph.registration.minima import ReliefRegistration
 from mgsgraph.registration.relief import register_by_relief
+from mgsgraph.results.section import table_of
 from mgsgraph.simulation.archive import ARCHIVE_KINDS, archive_settings, lay_out
 from mgsgraph.simulation.archive_files import write_archive
 from mgsgraph.simulation.files import write_pair, write_site, write_strip, write_three_sites
@@ -198,19 +199,7 @@ def disagreement_table(rows: Sequence[Disagreement]) -> Table:
     """One row per state, profile and image."""
     means = np.array([row.found.metres.mean(axis=0) for row in rows]).reshape(-1, 2)
     sigmas = np.array([row.sigmas for row in rows]).reshape(-1, 2)
-    return Table("disagreement", "MOLA's footprints in MOC's images, beside their true pixels", (
-        Column("state", [row.state for row in rows], meaning="orientation and footprints after which step", head="by",
-               text="<16"),
-        Column("profile", [row.profile for row in rows], text="<10"),
-        Column("image", [row.found.image for row in rows], text="<10"),
-        Column("footprints", np.array([row.found.shots.size for row in rows]), label="shots", text=">6d"),
-        Column("mean_{}", means, "m", "of the flight, on the ground", ("along", "across"), label="mean (m)",
-               text=">+8.1f", gap=2),
-        Column("rms", np.array([row.rms for row in rows]), "m", "of the distances", label="rms (m)", text=">8.1f",
-               gap=2),
-        Column("sigma_{}", sigmas, "m", "predicted", ("along", "across"), label="predicted sigma (m)", text=">8.1f",
-               gap=2),
-    ))  # fmt: skip
+    return table_of("disagreement", {"mean_{}": means, "sigma_{}": sigmas}, rows)
 
 
 
@@ -269,8 +258,7 @@ def simulation_options(
     site: str, attitude_time_bias: float | None = None, pictures: bool = True, known: Sequence[str] = SIMULATED
 ) -> SimulationOptions:
     """Options of a study site's simulation; InputError unless the site is among the `known` ones, and can have them."""
-    if site not in known:
-        raise InputError("site", repr(site), f"{', '.join(known[:-1])} or {known[-1]}")
+    require(site in known, "site", repr(site), f"{', '.join(known[:-1])} or {known[-1]}")
     if site not in SITE_NAMES and attitude_time_bias is not None:
         raise InputError("attitude time bias", f"given for {site}", "a study site", f"take {' or '.join(SITE_NAMES)}")
     return SimulationOptions(attitude_time_bias=attitude_time_bias, pictures=pictures)

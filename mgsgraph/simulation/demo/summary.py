@@ -10,7 +10,7 @@ from mgsgraph.adjustment.solution import Solution, orientation_profile
 from mgsgraph.analysis.statistics import PLACES
 from mgsgraph.case.reading import Case
 from mgsgraph.files.output.folders import DEMO, PROGRAM
-from mgsgraph.files.output.table import Column, Table, plain, write_json
+from mgsgraph.files.output.table import Table, plain, write_json
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import Pose
@@ -19,6 +19,7 @@ from mgsgraph.registration.minima import ReliefRegistration
 from mgsgraph.results.registration import discrepancy_json, write_registration_into
 from mgsgraph.results.relief import write_coregistration_into
 from mgsgraph.results.results import write_into
+from mgsgraph.results.section import table_of
 from mgsgraph.simulation.demo.demonstration import (
     BY_RELIEF,
     DRAWING,
@@ -102,20 +103,11 @@ def tables(demo: Demonstration) -> tuple[Table, ...]:
 
 def injected_table(simulated: SimulatedSite) -> Table:
     """The errors of the kernels of each image (in its middle), and of the profile along with it."""
-    images = simulated.images
-    errors = [image.errors for image in images]
-    return Table("injected", "Injected: errors of the kernels in the middle of each image, and of its profile", (
-        Column("image", [image.true.name for image in images], text="<10"),
-        Column("position_{}", np.array([error.position[0] for error in errors]), "m", "of the SPK",
-               ("radial", "along", "across"), label="position (m)", text=">+7.1f"),
-        Column("{}", np.array([error.rotation[0] / ARCSEC for error in errors]), "arcsec", "of the CK",
-               ("roll", "pitch", "yaw"), label="attitude (arcsec)", text=">+7.1f", gap=2),
-        Column("attitude_time_bias", np.array([error.attitude_time_bias for error in errors]), "s", "of the CK",
-               label="CK (s)", text=">6.2f", gap=2),
-        Column("profile", [image.settings.profile for image in images], text="<8", gap=2),
-        Column("shift_{}", np.array([image.profile.shift for image in images]), "m", "of all its footprints",
-               ("east", "north"), label="shift (m)", text=">+7.1f"),
-    ))  # fmt: skip
+    errors = [image.errors for image in simulated.images]
+    return table_of("injected", {
+        "position_{}": np.array([error.position[0] for error in errors]),
+        "{}": np.array([error.rotation[0] / ARCSEC for error in errors]),
+    }, simulated.images)  # fmt: skip
 
 
 def shifts_table(demo: Demonstration) -> Table:
@@ -124,14 +116,12 @@ def shifts_table(demo: Demonstration) -> Table:
     true = {image.settings.profile: -np.asarray(image.profile.shift) for image in demo.simulated.images}
     moved = -np.asarray(grid_shift(demo.simulated.terrain))  # known by its file's name where it takes part by cells
     true |= dict.fromkeys(("terrain model", grid_file(demo.simulated, "r")), moved)
-    names, ways = solution.network.shift_names, ("east", "north")
+    names = solution.network.shift_names
     sigmas = np.array([np.sqrt(np.diagonal(solution.shift_covariance(p))) for p in range(len(names))])
-    return Table("shifts", "Truth: shifts of profiles and terrain model, to be added to archived positions", (
-        Column("name", list(names), text="<14"),
-        Column("true_{}", np.array([true[name] for name in names]), "m", "", ways, label="true (m)", text=">+8.1f"),
-        Column("found_{}", np.array(solution.shifts), "m", "", ways, label="found (m)", text=">+8.1f", gap=2),
-        Column("sigma_{}", sigmas, "m", "predicted", ways, label="predicted sigma (m)", text=">8.1f", gap=2),
-    ))  # fmt: skip
+    return table_of("true_shifts", {
+        "name": list(names), "true_{}": np.array([true[name] for name in names]), "found_{}": np.array(solution.shifts),
+        "sigma_{}": sigmas,
+    }, name="shifts")  # fmt: skip
 
 
 # --- words
