@@ -276,7 +276,8 @@ def sort_points(
     fixed = network.points.kinds[example] == PointKind.FIXED
     polynomial = (of_example.image >= 0) & (of_example.node < 0)
     own_slope = np.append(np.isnan(common_slopes(network)[:, 0]), False)[of_example.image]
-    properties = of_example.kind, of_example.width, of_example.terms, of_example.shared, polynomial, own_slope
+    flags = polynomial.astype(np.int64), own_slope.astype(np.int64)
+    properties = of_example.kind, of_example.width, of_example.terms, of_example.shared, *flags
     shape = shapes(of_example.first, fixed.astype(np.int64), *properties)
     order = np.lexsort([np.arange(example.size), group, shape])
     rank = np.empty_like(order)
