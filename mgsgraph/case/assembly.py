@@ -107,8 +107,10 @@ def laser_profile(
 class Parts:
     """Points, rays and ranges as they are gathered from several files; becomes one network."""
 
-    def __init__(self, images: tuple[PushbroomImage, ...]) -> None:
+    def __init__(self, images: tuple[PushbroomImage, ...], checkpoints: Collection[str] = ()) -> None:
         self.images = images
+        self._checkpoints = Names.of(dict.fromkeys(checkpoints))
+        self._is_found = np.zeros(len(self._checkpoints), dtype=bool)
         self._index = {image.name: j for j, image in enumerate(images)}
         self.count = 0
         """Points so far."""
@@ -138,12 +140,25 @@ class Parts:
         `windows` (k, 2): side of each measure's window in px, 0 for none, and the share of the variance that windows
         have in common.
         """
-        first, n = self._claim(points.ids, points.source), len(points.ids)
-        self._points.append((np.full(n, int(point_class)), points.kinds, points.places, points.covariances))
+        first, check = self._claim(points.ids, points.source), self._checkpoints.find(points.ids)
+        self._is_found[check[check >= 0]] = True
+        for i in np.flatnonzero((check >= 0) & (points.kinds == PointKind.FREE))[:1].tolist():
+            found, expected = "a checkpoint without known coordinates (Free)", "a Constrained or Fixed point"
+            raise InputError(f"{points.source}, point {points.ids[i]}", found, expected, "take it out of checkpoints")
+        classes = np.where(check >= 0, int(PointClass.CONTROL), int(point_class))
+        kinds = np.where(check >= 0, int(PointKind.FREE), points.kinds)
+        self._points.append((classes, kinds, points.places, points.covariances))
         sigmas = np.where(np.isnan(points.measure_sigmas), sigma, points.measure_sigmas)
         self._add_rays(
             first, points.measure_point, points.measure_image, points.measures, sigmas, points.source, windows
         )
+
+    def require_checkpoints(self, where: str) -> None:
+        """Raise InputError unless all checkpoints are there."""
+        for missing in np.flatnonzero(~self._is_found)[:1].tolist():
+            expected = "ids of points of [ties] or [ground_control], measured in the case's images"
+            remedy = "fix the id, or take it out"
+            raise InputError(f"{where}, checkpoints", f"no point {self._checkpoints[missing]!r}", expected, remedy)
 
     def add_profile(self, profile: LaserProfile, entry: LaserInput) -> None:
         """Shots of a laser profile: constrained points, with rays where they are measured and ranges."""

@@ -139,7 +139,7 @@ def case_of(tables: CaseInput, path: Path, images: tuple[PushbroomImage, ...], l
     folder = path.parent
     of_passes = members(tables.passes, [image.name for image in tables.images], str(path))
     priors = tables.priors(str(path), images)
-    parts = Parts(images)
+    parts = Parts(images, tables.checkpoints)
     passes = _read_passes(tables, of_passes, images, path)
     parts.passes = [Members(tuple(pass_.images.tolist()), pass_.axes) for pass_ in passes]
     names = [image.name for image in images]
@@ -157,6 +157,7 @@ def case_of(tables: CaseInput, path: Path, images: tuple[PushbroomImage, ...], l
         control, left_out = in_images(read_ground_control(file, images[0].body, stated), names)
         notes += [left_out] if left_out else []
         parts.add_points(control, PointClass.CONTROL, 1.0)
+    parts.require_checkpoints(str(path))
     profiles = _add_laser(parts, tables, path) if laser else ()
     if not parts.count:
         found, remedy = "neither ties nor ground control nor laser", f"find ties in the images: mgsgraph match {path}"

@@ -408,6 +408,9 @@ class CaseInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Tie points: one table, [ties], or several, [[ties]], each a group with its own sigma."""
     ground_control: ControlInput | None = None
     """Ground control points."""
+    checkpoints: tuple[str, ...] = ()
+    """Ids of Constrained or Fixed points of [ties] or [ground_control] whose known coordinates take no part in the
+    adjustment, but check it; their image measurements take part as those of tie points."""
     laser: LaserInput | tuple[LaserInput, ...] | bool = False
     """Laser shots: one table, [laser], or several, [[laser]], each a group with its own sigmas; false: none."""
     shots: tuple[ShotsInput, ...] = ()

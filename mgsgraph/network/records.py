@@ -79,7 +79,8 @@ class GroundPoints(Record):
     places: Array
     """(n, 3) m, body-fixed, a-priori; NaN where unknown."""
     covariances: Array
-    """(n, 3, 3) m^2, of the a-priori places of constrained points; zero elsewhere."""
+    """(n, 3, 3) m^2, of the a-priori places of constrained points and of known places of checkpoints
+    (`Network.checkpoints`); zero elsewhere."""
 
     def __post_init__(self) -> None:
         assign(self, ids=Names.of(self.ids, "ground points"))
