@@ -1,6 +1,6 @@
 """Known ground coordinates against an adjustment that made no use of them: checkpoints, and control left out.
 
-A checkpoint (`Network.checkpoints`) is adjusted as a tie point is: its image measurements take part, its known
+A checkpoint (`GroundPoints.checkpoints`) is adjusted as a tie point is: its image measurements take part, its known
 coordinates k do not. Its discrepancy is d = x - k, adjusted minus known; x and k have no error in common, and so
 
     cov(d) = C + K,  C the posterior covariance of x, K the known one of k.
@@ -20,9 +20,9 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from mgsgraph.adjustment.covariances import Linearised
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import at_points, require_covariance
-from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.body import east_north_up
@@ -45,7 +45,7 @@ class Discrepancies(Record):
     Examples
     --------
     >>> from mgsgraph.analysis.checkpoints import leave_out
-    >>> len(leave_out(posterior).points)
+    >>> len(leave_out(posterior.linearised).points)
     0
     """
 
@@ -100,7 +100,7 @@ _OF_SOLUTIONS: "WeakKeyDictionary[Solution, Discrepancies]" = WeakKeyDictionary(
 
 def checkpoint_discrepancies(solution: Solution) -> Discrepancies | None:
     """Adjusted minus known coordinates of the checkpoints; None without any, and of a solution without covariance."""
-    if not solution.network.checkpoints.size:
+    if not solution.network.points.checkpoints.size:
         return None
     result = _OF_SOLUTIONS.get(solution)
     if result is None:
@@ -113,13 +113,13 @@ def checkpoint_discrepancies(solution: Solution) -> Discrepancies | None:
 
 
 def _at_checkpoints(solution: Solution) -> Discrepancies:
-    known, points = solution.network.points, solution.network.checkpoints
+    known, points = solution.network.points, solution.network.points.checkpoints
     determined = solution.determined[points]
     chosen, others = points[determined], points[~determined]
     if not chosen.size:
         return Discrepancies(chosen, np.zeros((0, 3)), np.zeros((0, 3, 3)), 0.0, 0, 0, others)
     some = thinned(chosen.size, _MOST_JOINT)
-    joint = _joint(Posterior(at_points(solution, chosen[some])), np.arange(some.size))
+    joint = _joint(at_points(solution, chosen[some]), np.arange(some.size))
     joint += _block_diagonal(known.covariances[chosen[some]])
     scale, values = np.sqrt(np.diagonal(joint)), solution.places[chosen] - known.places[chosen]
     test = _chi_square(values[some].ravel() / scale, joint / scale / scale[:, None])
@@ -127,35 +127,35 @@ def _at_checkpoints(solution: Solution) -> Discrepancies:
     return _local(solution.network, chosen, values, covariances, (*test, some.size), others)
 
 
-def leave_out(posterior: Posterior) -> Discrepancies:
+def leave_out(at: Linearised) -> Discrepancies:
     """Discrepancies that constrained ties and ground control points would have, each alone without its a-priori
     position, as the linearised adjustment has them: nothing is adjusted anew.
 
     Fixed points are none of them: their a-priori position has no sigma, and is no row that could be left out.
     """
-    at, points = posterior.linearised, control_points(posterior.network, PointKind.CONSTRAINED)
-    estimator = Posterior(at.of_estimator())
-    root = np.linalg.cholesky(posterior.network.points.covariances[points])
+    network, estimator = at.network, at.of_estimator()
+    points = control_points(network, PointKind.CONSTRAINED)
+    root = np.linalg.cholesky(network.points.covariances[points])
     whitening = np.linalg.inv(root)
 
     def whitened(matrices: Array) -> Array:
         return np.asarray(whitening @ matrices @ np.swapaxes(whitening, 1, 2))
 
-    of_estimator = whitened(estimator.linearised.point_covariances()[points])
+    of_estimator = whitened(estimator.point_covariances()[points])
     spread = np.eye(3) + whitened(at.point_covariances()[points]) - 2.0 * of_estimator
     redundancy = np.eye(3) - of_estimator
     controlled = np.linalg.eigvalsh(redundancy)[:, 0] > _CONTROLLED
     left, chosen = np.flatnonzero(controlled), points[controlled]
-    misfit = at.places[points] - posterior.network.points.places[points]
+    misfit = at.places[points] - network.points.places[points]
     misfit = np.einsum("nij,nj->ni", whitening, misfit)
     influence = root[left] @ np.linalg.inv(redundancy[left])
     values = np.einsum("nij,nj->ni", influence, misfit[left])
     covariances = influence @ spread[left] @ np.swapaxes(influence, 1, 2)
     some = thinned(chosen.size, _MOST_JOINT)
-    difference = _joint(posterior, chosen[some]) - 2.0 * _joint(estimator, chosen[some])
+    difference = _joint(at, chosen[some]) - 2.0 * _joint(estimator, chosen[some])
     turn = _block_diagonal(whitening[left[some]])
     test = _chi_square(misfit[left[some]].ravel(), np.eye(3 * some.size) + turn @ difference @ turn.T)
-    return _local(posterior.network, chosen, values, covariances, (*test, some.size), points[~controlled])
+    return _local(network, chosen, values, covariances, (*test, some.size), points[~controlled])
 
 
 def control_points(network: Network, kind: PointKind) -> Index:
@@ -173,11 +173,20 @@ def _local(
     return Discrepancies(points, np.einsum("nij,nj->ni", frames, values), turned, *test, others)
 
 
-def _joint(posterior: Posterior, points: Index) -> Array:
-    """(3 n, 3 n) m^2, joint covariance of points."""
-    if not points.size:
-        return np.zeros((0, 0))
-    return posterior.covariance([posterior.of_point(point) for point in points.tolist()])
+def _joint(at: Linearised, points: Index) -> Array:
+    """(3 n, 3 n) m^2, joint covariance of points (n,)."""
+    of_points = [at.rows_of(point) for point in points.tolist()]
+    variables = list(dict.fromkeys(variable for rows in of_points for variable in rows.variables))
+    width = at.layout.variables.width[np.array(variables, dtype=np.int64)]
+    columns = {v: np.arange(end - size, end) for v, size, end in zip(variables, width, np.cumsum(width), strict=True)}
+    by_shared, own = np.zeros((points.size, 3, int(width.sum()))), np.zeros((points.size, 3, 3))
+    for k, rows in enumerate(of_points):
+        carried, noise = rows.eliminated()
+        if rows.variables:
+            by_shared[k][:, np.concatenate([columns[variable] for variable in rows.variables])] = carried[0]
+        own[k] = noise[0] @ noise[0].T
+    through = by_shared.reshape(3 * points.size, by_shared.shape[2])
+    return np.asarray(through @ at.joint.of(variables) @ through.T + _block_diagonal(own))
 
 
 def _block_diagonal(blocks: Array) -> Array:

@@ -107,10 +107,8 @@ def laser_profile(
 class Parts:
     """Points, rays and ranges as they are gathered from several files; becomes one network."""
 
-    def __init__(self, images: tuple[PushbroomImage, ...], checkpoints: Collection[str] = ()) -> None:
+    def __init__(self, images: tuple[PushbroomImage, ...]) -> None:
         self.images = images
-        self._checkpoints = Names.of(dict.fromkeys(checkpoints))
-        self._is_found = np.zeros(len(self._checkpoints), dtype=bool)
         self._index = {image.name: j for j, image in enumerate(images)}
         self.count = 0
         """Points so far."""
@@ -134,31 +132,19 @@ class Parts:
         self._located(points.ids, points.measure_point, points.measure_image, points.measures, points.source)
 
     def add_points(
-        self, points: TiePoints, point_class: PointClass, sigma: float, windows: Array | None = None
+        self, points: TiePoints, classes: PointClass | Index, sigma: float, windows: Array | None = None
     ) -> None:
-        """Points and measures of a control network or ground control file; `sigma` (px) where the file has none.
+        """Points and measures of a control network or ground control file; `sigma` (px) where the file has none, and
+        `classes` (n,), or one of all.
         `windows` (k, 2): side of each measure's window in px, 0 for none, and the share of the variance that windows
         have in common.
         """
-        first, check = self._claim(points.ids, points.source), self._checkpoints.find(points.ids)
-        self._is_found[check[check >= 0]] = True
-        for i in np.flatnonzero((check >= 0) & (points.kinds == PointKind.FREE))[:1].tolist():
-            found, expected = "a checkpoint without known coordinates (Free)", "a Constrained or Fixed point"
-            raise InputError(f"{points.source}, point {points.ids[i]}", found, expected, "take it out of checkpoints")
-        classes = np.where(check >= 0, int(PointClass.CONTROL), int(point_class))
-        kinds = np.where(check >= 0, int(PointKind.FREE), points.kinds)
-        self._points.append((classes, kinds, points.places, points.covariances))
+        first, n = self._claim(points.ids, points.source), len(points.ids)
+        self._points.append((np.full(n, classes), points.kinds, points.places, points.covariances))
         sigmas = np.where(np.isnan(points.measure_sigmas), sigma, points.measure_sigmas)
         self._add_rays(
             first, points.measure_point, points.measure_image, points.measures, sigmas, points.source, windows
         )
-
-    def require_checkpoints(self, where: str) -> None:
-        """Raise InputError unless all checkpoints are there."""
-        for missing in np.flatnonzero(~self._is_found)[:1].tolist():
-            expected = "ids of points of [ties] or [ground_control], measured in the case's images"
-            remedy = "fix the id, or take it out"
-            raise InputError(f"{where}, checkpoints", f"no point {self._checkpoints[missing]!r}", expected, remedy)
 
     def add_profile(self, profile: LaserProfile, entry: LaserInput) -> None:
         """Shots of a laser profile: constrained points, with rays where they are measured and ranges."""
@@ -184,7 +170,7 @@ class Parts:
     def add_shots(self, shots: AltimeterShots, entry: ShotsInput, pointed: frozenset[str]) -> AltimeterShots:
         """Shots of a profile that fall in an image: constrained points, with a range from the simultaneous image, or
         from the trajectory of the pass, and, if asked for, back-projected image coordinates. Returns the shots taken:
-        all but the check points. Images in `pointed` have an altimeter's boresight already.
+        all but the checkpoints. Images in `pointed` have an altimeter's boresight already.
         """
         hits, usable = shots_in_images(self.images, shots)
         if entry.image:

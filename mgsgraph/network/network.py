@@ -499,14 +499,6 @@ class Network(Record):
         """(n,) True for free points with fewer than two rays; they stay out, with a range or without."""
         return read_only((self.points.kinds == PointKind.FREE) & (self.ray_counts < 2))
 
-    @cached_property
-    def checkpoints(self) -> Index:
-        """(c,) ground control points whose known coordinates, `points.places` and `covariances`, check the adjustment
-        and take no part in it: free ones.
-        """
-        free_control = (self.points.classes == PointClass.CONTROL) & (self.points.kinds == PointKind.FREE)
-        return read_only(np.flatnonzero(free_control & np.isfinite(self.points.places[:, 0])))
-
     @property
     def classes(self) -> list[PointClass]:
         """Classes of points that tables have: those measured in images, and others that occur."""

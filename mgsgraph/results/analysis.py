@@ -24,7 +24,7 @@ from mgsgraph.files.output.folders import ANALYSIS
 from mgsgraph.files.output.table import Column, Table, numbers, picked
 from mgsgraph.geometry.records import Index
 from mgsgraph.results.answers import Questions, curve_section, raster_section, replies
-from mgsgraph.results.checkpoints import leave_out_section
+from mgsgraph.results.ground import leave_out_section
 from mgsgraph.results.section import Section, record_of, sheets_by, table_of, write_sections
 from mgsgraph.results.verdict import headline, linearity_section, reason_sentences, tested_sentences
 from mgsgraph.text import NAMED, many, some
@@ -214,7 +214,7 @@ def analysis_sections(posterior: Posterior, request: AnalysisRequest, name: str)
         if request.outliers:
             yield outliers_section(tests)
     if request.leave_out:
-        yield leave_out_section(posterior)
+        yield leave_out_section(posterior.linearised)
     if request.weak:
         yield _weak_section(posterior, request.weak)
         if posterior.network.passes:

@@ -30,8 +30,14 @@ from mgsgraph.files.writing import read_record
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import Connectivity, connectivity_json, connectivity_statements
 from mgsgraph.results.archive import ARCHIVE, write_archive
-from mgsgraph.results.checkpoints import checkpoint_sections
-from mgsgraph.results.ground import control_section, laser_section, minima_section, points_section, ranges_section
+from mgsgraph.results.ground import (
+    checkpoint_sections,
+    control_section,
+    laser_section,
+    minima_section,
+    points_section,
+    ranges_section,
+)
 from mgsgraph.results.passes import passes_section, shared_section
 from mgsgraph.results.section import ROWS, Section, record_of, table_of
 from mgsgraph.results.tables import TableForm, connectivity_table, orientation_table, write_large_tables

@@ -11,8 +11,7 @@ from mgsgraph.analysis.statistics import local_sigmas, range_statistics, ray_sta
 from mgsgraph.analysis.verdict import verdict
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network, PointClass
-from mgsgraph.results.checkpoints import checkpoint_sections
-from mgsgraph.results.ground import laser_section, omission_sentences
+from mgsgraph.results.ground import checkpoint_sections, laser_section, omission_sentences
 from mgsgraph.results.verdict import headline, linearity_section, reason_sentences, tested_sentences
 from mgsgraph.text import length, many, root_mean_square, two
 from mgsgraph.units import DEG, KM
