@@ -20,6 +20,7 @@ import click
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.checkpoints import leave_out
 from mgsgraph.analysis.components import components
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.analysis.reliability import reliability
@@ -46,6 +47,7 @@ from mgsgraph.results.analysis import (
     vibrations_table,
 )
 from mgsgraph.results.archive import FORMAT, array_scalar, kinds_of
+from mgsgraph.results.ground import discrepancies_table
 from mgsgraph.results.matching import matches_table
 from mgsgraph.results.passes import nodes_table, shared_table
 from mgsgraph.results.places import selection_table
@@ -193,6 +195,9 @@ def _tables() -> Iterator[tuple[str, Table]]:
     yield "shared.csv", shared_table(solution)
     yield "passes.csv", nodes_table(solution)
     yield "drivers.csv", drivers_table(solution)
+    left_out = leave_out(linearised)
+    yield "checkpoints.csv", discrepancies_table("checkpoints", left_out, solution.network)
+    yield "leave_out.csv", discrepancies_table("leave_out", left_out, solution.network)
     yield "reliability.csv", reliability_table(reliability(linearised))
     yield "unexplained.csv", unexplained_table(unexplained(linearised))
     yield "vibrations.csv", vibrations_table(ResidualVibrations((), ()))

@@ -17,6 +17,7 @@ from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.rows import OUT
 from mgsgraph.kernel.sweep import COSTS, reduce
 from mgsgraph.network import Network, PolynomialPrior
+from mgsgraph.network.parts import thinned
 
 
 def require_covariance(solution: Solution) -> None:
@@ -44,6 +45,15 @@ def at_solution(solution: Solution) -> Linearised:
     mixed = solution.minima is not None and solution.minima.several
     mixed = mixed or any(pass_.asks_for_strengths for pass_ in network.passes)
     return Linearised(layout, settings, rows, orientation, points, solution.joint_covariance, mixed)
+
+
+def at_points(solution: Solution, chosen: Index) -> Linearised:
+    """Some points (n,), ascending, where they were solved, with the covariance that all of them gave; InputError where
+    the solution has none.
+    """
+    require_covariance(solution)
+    part, joint = thinned(solution.network, chosen, solution.rays_used, solution.ranges_used), solution.joint_covariance
+    return at_values(part, solution.settings, solution.values, solution.places[chosen], joint_of=lambda _: joint)
 
 
 def at_values(

@@ -25,10 +25,11 @@ import numpy as np
 from mgsgraph.adjustment.covariances import Linearised
 from mgsgraph.adjustment.fit import ABSURD
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.checkpoints import checkpoint_discrepancies
 from mgsgraph.analysis.geometry_checks import deviating_heights, misplaced_profiles
 from mgsgraph.analysis.group_tests import UNTESTED, GroupTest, fit_of_groups
 from mgsgraph.analysis.grouping import group_rows
-from mgsgraph.analysis.linearised import PriorRows, at_solution, at_values, prior_rows, require_covariance, unknown_name
+from mgsgraph.analysis.linearised import PriorRows, at_points, at_solution, at_values, prior_rows, unknown_name
 from mgsgraph.analysis.residual_rows import ResidualRows, residual_rows
 from mgsgraph.analysis.sanity import losses, unexplained_ranges, unexplained_residuals
 from mgsgraph.analysis.undetected import Undetected, undetected
@@ -37,7 +38,6 @@ from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.rows import IMAGE
 from mgsgraph.network import Network, PointClass
 from mgsgraph.network.duplicates import duplicates
-from mgsgraph.network.parts import thinned
 from mgsgraph.record import Record
 
 LEVEL = 0.015
@@ -48,6 +48,8 @@ _SAMPLE = 500
 """Points of a larger one that are tested."""
 _SHARES = {"groups": 0.4, "corrections": 0.2, "common errors": 0.2, "offsets": 0.1, "observations": 0.1}
 """Of the level, of each kind of tests: the first ones stand for what harms most."""
+_CHECKPOINTS = 0.001
+"""Level of the test of all checkpoints together, beside that of all other tests."""
 _COMMON_ERRORS = 60
 """Possible errors, about, among which one is to be found."""
 _RELEVANT = 1.1
@@ -98,6 +100,7 @@ class Cause(StrEnum):
     CORRECTION = "correction against its prior"
     COMMON_ERROR = "common error"
     GROUP = "group of observations"
+    CHECKPOINT = "checkpoints"
     OFFSET = "constant residual"
     OBSERVATION = "single observation"
     NOMINAL = "nominal residuals"
@@ -230,7 +233,7 @@ def _verdict(solution: Solution) -> Verdict:
             what = "factors of your own on points" if solution.own_factors else "no covariance of all points"
             reason = Reason(State.SUSPECT, Cause.UNTESTED, what, math.nan, "")
             tested = replace(_UNTESTED, reasons=(reason,))
-        reasons = [*checks.result(), *tested.reasons]
+        reasons = [*checks.result(), *tested.reasons, *_of_checkpoints(solution)]
     causes = list(Cause)
     reasons.sort(key=lambda reason: (reason.state is not State.INVALID, causes.index(reason.cause),
                                   np.nan_to_num(reason.p_value), -abs(reason.size)))  # fmt: skip
@@ -264,6 +267,14 @@ def _tested(solution: Solution) -> Verdict:
     return Verdict(State.VALID, tuple(reasons), groups, tuple(corrections[:_CORRECTIONS]), common, count, points)
 
 
+def _of_checkpoints(solution: Solution) -> Iterator[Reason]:
+    """Checkpoints that are farther from their known coordinates than stated."""
+    found = checkpoint_discrepancies(solution) if solution.converged else None
+    if found is not None and found.p_value < _CHECKPOINTS:
+        size = math.sqrt(found.chi_square / found.degrees)
+        yield Reason(State.SUSPECT, Cause.CHECKPOINT, "checkpoints", size, "factor", p_value=found.p_value)
+
+
 def _level(kind: str, tests: int) -> float:
     """Of a single test of a kind of which there are so many."""
     return LEVEL * _SHARES[kind] / max(tests, 1)
@@ -282,13 +293,10 @@ def _critical(level: float) -> float:
 
 
 def _sampled(solution: Solution) -> Linearised:
-    """Some of the points where they were solved, with the covariance that all of them gave."""
-    require_covariance(solution)
-    network, determined = solution.network, np.flatnonzero(solution.determined)
-    chosen = np.sort(np.random.default_rng(0).choice(determined, min(_SAMPLE, determined.size), replace=False))
-    part = thinned(network, chosen, solution.rays_used, solution.ranges_used)
-    places = solution.places[chosen]
-    return at_values(part, solution.settings, solution.values, places, joint_of=lambda _: solution.joint_covariance)
+    """Some of the points where they were solved."""
+    determined = np.flatnonzero(solution.determined)
+    chosen = np.random.default_rng(0).choice(determined, min(_SAMPLE, determined.size), replace=False)
+    return at_points(solution, np.sort(chosen))
 
 
 # --- what is no test

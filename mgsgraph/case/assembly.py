@@ -132,14 +132,15 @@ class Parts:
         self._located(points.ids, points.measure_point, points.measure_image, points.measures, points.source)
 
     def add_points(
-        self, points: TiePoints, point_class: PointClass, sigma: float, windows: Array | None = None
+        self, points: TiePoints, classes: PointClass | Index, sigma: float, windows: Array | None = None
     ) -> None:
-        """Points and measures of a control network or ground control file; `sigma` (px) where the file has none.
+        """Points and measures of a control network or ground control file; `sigma` (px) where the file has none, and
+        `classes` (n,), or one of all.
         `windows` (k, 2): side of each measure's window in px, 0 for none, and the share of the variance that windows
         have in common.
         """
         first, n = self._claim(points.ids, points.source), len(points.ids)
-        self._points.append((np.full(n, int(point_class)), points.kinds, points.places, points.covariances))
+        self._points.append((np.full(n, classes), points.kinds, points.places, points.covariances))
         sigmas = np.where(np.isnan(points.measure_sigmas), sigma, points.measure_sigmas)
         self._add_rays(
             first, points.measure_point, points.measure_image, points.measures, sigmas, points.source, windows
@@ -169,7 +170,7 @@ class Parts:
     def add_shots(self, shots: AltimeterShots, entry: ShotsInput, pointed: frozenset[str]) -> AltimeterShots:
         """Shots of a profile that fall in an image: constrained points, with a range from the simultaneous image, or
         from the trajectory of the pass, and, if asked for, back-projected image coordinates. Returns the shots taken:
-        all but the check points. Images in `pointed` have an altimeter's boresight already.
+        all but the checkpoints. Images in `pointed` have an altimeter's boresight already.
         """
         hits, usable = shots_in_images(self.images, shots)
         if entry.image:

@@ -17,7 +17,15 @@ from mgsgraph.case.assembly import Parts, in_images, merged, with_sigmas
 from mgsgraph.case.case_file import decode, instruments, read_images
 from mgsgraph.case.case_file import read_image as read_image
 from mgsgraph.case.passes import members, mounted, mounting_unknowns, passes_of, rig_notes, vibration_unknowns
-from mgsgraph.case.schema import AltimetryInput, CaseInput, ImageInput, ShotsInput, TerrainInput, TiesInput
+from mgsgraph.case.schema import (
+    AltimetryInput,
+    CaseInput,
+    ControlInput,
+    ImageInput,
+    ShotsInput,
+    TerrainInput,
+    TiesInput,
+)
 from mgsgraph.case.terrain import as_grid, read_terrain_model
 from mgsgraph.errors import InputError, Unmeasured, errors_from
 from mgsgraph.files.altimetry.lidar import read_lidar
@@ -25,8 +33,9 @@ from mgsgraph.files.altimetry.shots import read_shots
 from mgsgraph.files.datum import NAMED
 from mgsgraph.files.geometric_keys import GRID_LABEL, SHOT_LABEL, Key, unread
 from mgsgraph.files.networks.asp_text import read_ground_control, stated_datum
-from mgsgraph.files.networks.table import read_tie_points
-from mgsgraph.files.networks.tie_points import TiePoints
+from mgsgraph.files.networks.map_positions import ControlMap
+from mgsgraph.files.networks.table import is_table, read_tie_points
+from mgsgraph.files.networks.tie_points import PointKind, TiePoints
 from mgsgraph.files.opening import read_text, understood
 from mgsgraph.files.output.folders import MATCH
 from mgsgraph.files.pvl import flat_label, instrument_of
@@ -34,8 +43,9 @@ from mgsgraph.files.writing import read_record
 from mgsgraph.geometry.altimetry import AltimeterShots, AltimetryCloud
 from mgsgraph.geometry.body import Ellipsoid, surface_radii
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.records import Array, require_names
+from mgsgraph.geometry.records import Array, Index, require_names
 from mgsgraph.geometry.terrain import TerrainGrid
+from mgsgraph.names import Names
 from mgsgraph.network import TERRAIN, Network, Pass, PointClass, SharedUnknown
 from mgsgraph.network.observations import Members, TerrainModel
 from mgsgraph.record import Record
@@ -145,18 +155,13 @@ def case_of(tables: CaseInput, path: Path, images: tuple[PushbroomImage, ...], l
     names = [image.name for image in images]
     tie_points, windows, notes = _read_ties(tables, parts, folder)
     if tie_points:
-        parts.add_points(tie_points, PointClass.TIE, 1.0, windows)
+        parts.add_points(*_with_checkpoints(tie_points, PointClass.TIE, tables.checkpoints), 1.0, windows)
     notes += [*_unread_keys(tables, folder), *rig_notes(images, of_passes)]
     if tables.ground_control:
-        file = folder / tables.ground_control.file
-        datum = tables.ground_control.datum
-        stated = NAMED[datum] if isinstance(datum, str) else Ellipsoid(*datum) if datum else None
-        if stated is None and stated_datum(file) is None:
-            size = f"{images[0].body.equatorial:.9g} and {images[0].body.polar:.9g} m"
-            notes.append(f"{file.name} does not say its datum: taken for the images' ellipsoid, {size}")
-        control, left_out = in_images(read_ground_control(file, images[0].body, stated), names)
-        notes += [left_out] if left_out else []
-        parts.add_points(control, PointClass.CONTROL, 1.0)
+        control, remarks = _read_control(tables.ground_control, path, images)
+        control, left_out = in_images(control, names)
+        notes += [*remarks, *([left_out] if left_out else [])]
+        parts.add_points(*_with_checkpoints(control, PointClass.CONTROL, tables.checkpoints), 1.0)
     profiles = _add_laser(parts, tables, path) if laser else ()
     if not parts.count:
         found, remedy = "neither ties nor ground control nor laser", f"find ties in the images: mgsgraph match {path}"
@@ -165,6 +170,7 @@ def case_of(tables: CaseInput, path: Path, images: tuple[PushbroomImage, ...], l
     held = np.array([image.held for image in tables.images])
     radii, areoid, models = _read_terrain(tables, path, images)
     network = parts.network(priors, held, radii, areoid, next(iter(tables.terrain_models), None))
+    _require_checkpoints(network, tables.checkpoints, path)
     with errors_from(str(path)):
         network = replace(network, passes=passes)
     network = _with_shared(network, tables, of_passes, path, laser, parts.shared)
@@ -359,6 +365,48 @@ def _read_ties(tables: CaseInput, parts: Parts, folder: Path) -> tuple[TiePoints
         groups.append(group)
         notes += [left_out] if left_out else []
     return merged(groups) if groups else None, np.concatenate(windows), notes
+
+
+def _read_control(
+    entry: ControlInput, path: Path, images: tuple[PushbroomImage, ...]
+) -> tuple[TiePoints, list[str]]:
+    """Ground control points of an ASP file, or of a table of positions in an orthoimage; what is to be known of it."""
+    file, datum, of_map = path.parent / entry.file, entry.datum, entry.orthoimage is not None
+    if of_map != (entry.terrain is not None) or (of_map and (datum is not None or not is_table(file))):
+        found = ", ".join(key for key in ("file", "datum", "orthoimage", "terrain") if getattr(entry, key) is not None)
+        expected = "a .gcp file alone or with its datum; or a table (.csv, .parquet), orthoimage and terrain"
+        raise InputError(f"{path}, ground_control", f"{found}, the file {file.name}", expected)
+    if entry.orthoimage is not None and entry.terrain is not None:
+        model, _ = read_terrain_model(entry.terrain, path, images)
+        sigmas = entry.terrain.vertical_sigma_m, entry.map_sigma_px, entry.map_sigma_m or 0.0
+        control_map = ControlMap(path.parent / entry.orthoimage, model.at, *sigmas, images[0].body)
+        return read_tie_points(file, images[0].body, control_map.ground_columns), []
+    stated = NAMED[datum] if isinstance(datum, str) else Ellipsoid(*datum) if datum else None
+    remarks = list[str]()
+    if stated is None and stated_datum(file) is None:
+        size = f"{images[0].body.equatorial:.9g} and {images[0].body.polar:.9g} m"
+        remarks.append(f"{file.name} does not say its datum: taken for the images' ellipsoid, {size}")
+    return read_ground_control(file, images[0].body, stated), remarks
+
+
+def _with_checkpoints(
+    points: TiePoints, point_class: PointClass, ids: Sequence[str]
+) -> tuple[TiePoints, Index]:
+    """Points, those of these ids free, and the class (n,) of each: of checkpoints that of ground control."""
+    chosen = Names.of(ids).find(points.ids) >= 0
+    for i in np.flatnonzero(chosen & (points.kinds == PointKind.FREE))[:1].tolist():
+        found, expected = "a checkpoint without known coordinates (Free)", "a Constrained or Fixed point"
+        raise InputError(f"{points.source}, point {points.ids[i]}", found, expected, "take it out of checkpoints")
+    classes = np.where(chosen, int(PointClass.CONTROL), int(point_class))
+    return replace(points, kinds=np.where(chosen, int(PointKind.FREE), points.kinds)), classes
+
+
+def _require_checkpoints(network: Network, ids: Sequence[str], path: Path) -> None:
+    """Raise InputError unless points of these ids are checkpoints."""
+    there = network.points.ids[network.points.checkpoints]
+    for name in [name for name in ids if name not in there][:1]:
+        expected = "ids of points of [ties] or [ground_control] that the case's images show"
+        raise InputError(f"{path}, checkpoints", f"no point {name!r}", expected, "fix the id, or take it out")
 
 
 def window_beside(network: Path) -> float:

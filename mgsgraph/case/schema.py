@@ -69,7 +69,7 @@ class ShotsInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     ranges: bool = True
     """Use the ranges."""
     check_every: Annotated[int, msgspec.Meta(ge=2)] | None = None
-    """Keep every so many-th shot that could be used out of the adjustment, as a check point (`mgsgraph dem`)."""
+    """Keep every so many-th shot that could be used out of the adjustment, as a checkpoint (`mgsgraph dem`)."""
     version: str | None = None
     """PEDR version letter, where the file's name doesn't say."""
     clock_bias_s: float = 0.0
@@ -250,17 +250,6 @@ class TiesInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     less where most errors are each measure's own."""
 
 
-class ControlInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """Ground control points with sigmas."""
-
-    file: str
-    """ASP .gcp text."""
-    datum: Literal["D_MARS", "MOLA", "D_MOON"] | tuple[Positive, Positive] | None = None
-    """What its latitudes and heights refer to: a sphere by its name in the Ames Stereo Pipeline (3396190, 3396000,
-    1737400 m), or an ellipsoid by its equatorial and polar radius in m; by the file's header (# WKT:) when absent, else
-    the images' ellipsoid."""
-
-
 class TerrainInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """A terrain model: control for the tie points, and where their heights above the areoid come from."""
 
@@ -303,6 +292,27 @@ class TerrainInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
         place that is an unknown, and without tilts.
         """
         return self.control and self.shift and self.tilt_sigma_mrad is None
+
+
+class ControlInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Ground control points with sigmas."""
+
+    file: str
+    """ASP .gcp text; with `orthoimage` a table (.csv, .parquet) of positions in it and image measurements."""
+    datum: Literal["D_MARS", "MOLA", "D_MOON"] | tuple[Positive, Positive] | None = None
+    """What its latitudes and heights refer to: a sphere by its name in the Ames Stereo Pipeline (3396190, 3396000,
+    1737400 m), or an ellipsoid by its equatorial and polar radius in m; by the file's header (# WKT:) when absent, else
+    the images' ellipsoid."""
+    orthoimage: str | None = None
+    """GeoTIFF in any map projection in which the table's positions were read: map_line and map_sample (the first
+    pixel's centre is at 0.5), map_x and map_y, or longitude_deg and latitude_deg as its system has them."""
+    terrain: TerrainInput | None = None
+    """Terrain model with the heights of these positions, a table with the keys of [terrain] for files and
+    `vertical_sigma_m`."""
+    map_sigma_px: Sigma = 0.5
+    """Sigma of these positions, pixels of the orthoimage."""
+    map_sigma_m: Sigma | None = None
+    """Sigma of the orthoimage itself, east and north, independent at each point; absent: none."""
 
 
 class SharedInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -408,6 +418,9 @@ class CaseInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Tie points: one table, [ties], or several, [[ties]], each a group with its own sigma."""
     ground_control: ControlInput | None = None
     """Ground control points."""
+    checkpoints: tuple[str, ...] = ()
+    """Ids of Constrained or Fixed points of [ties] or [ground_control] whose known coordinates take no part in the
+    adjustment, but check it; their image measurements take part as those of tie points."""
     laser: LaserInput | tuple[LaserInput, ...] | bool = False
     """Laser shots: one table, [laser], or several, [[laser]], each a group with its own sigmas; false: none."""
     shots: tuple[ShotsInput, ...] = ()

@@ -67,6 +67,9 @@ _PARAMETERS = ("correlations", "probability", "images", "post", "sigma_px", "alp
 @click.option("--weak", type=click.IntRange(1), metavar="N", help="N least-constrained directions, in words.")
 @click.option("--outliers", is_flag=True, help="A row per image: its measurements, rejected ones, and largest tests.")
 @click.option(
+    "--leave-out", is_flag=True, help="Each ground control point against an adjustment without its coordinates."
+)
+@click.option(
     "--nodes", is_flag=False, flag_value="4,8,16,32", metavar="[S,S,...]",
     help="Choose the spacing of the orientation images of [[passes]], in seconds; 4,8,16,32 when absent.",
 )  # fmt: skip
@@ -130,7 +133,7 @@ def analyze(
         questions, options["curves"], options["images"] if raster else None, options["post"], sigma,
         options["unexplained"] or full, options["components"] or options["iterate"] or full, options["likelihood"],
         options["iterate"], options["reliability"] or (_ROWS_OF_RELIABILITY if full else 0),
-        options["weak"] or (_WEAK_DIRECTIONS if full else 0), options["outliers"] or full, levels,
+        options["weak"] or (_WEAK_DIRECTIONS if full else 0), options["outliers"] or full, levels, options["leave_out"],
     )  # fmt: skip
     brief_only = no_question and not details()
     if brief_only:

@@ -29,7 +29,7 @@ _PROFILE = """\
 range_sigma_m = 10.0
 ground_sigma_m = 10.0
 shift_sigma_m = 100.0                   # a common horizontal error of the profile, as an unknown
-check_every = 5                         # every fifth shot takes no part: check points of `mgsgraph dem`
+check_every = 5                         # every fifth shot takes no part: checkpoints of `mgsgraph dem`
 """
 
 

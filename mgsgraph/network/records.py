@@ -79,7 +79,8 @@ class GroundPoints(Record):
     places: Array
     """(n, 3) m, body-fixed, a-priori; NaN where unknown."""
     covariances: Array
-    """(n, 3, 3) m^2, of the a-priori places of constrained points; zero elsewhere."""
+    """(n, 3, 3) m^2, of the a-priori places of constrained points and of known places of checkpoints
+    (`checkpoints`); zero elsewhere."""
 
     def __post_init__(self) -> None:
         assign(self, ids=Names.of(self.ids, "ground points"))
@@ -101,6 +102,14 @@ class GroundPoints(Record):
 
     def __len__(self) -> int:
         return len(self.ids)
+
+    @property
+    def checkpoints(self) -> Index:
+        """(c,) ground control points whose known places and covariances check the adjustment and take no part in it:
+        free ones.
+        """
+        free_control = (self.classes == PointClass.CONTROL) & (self.kinds == PointKind.FREE)
+        return np.flatnonzero(free_control & np.isfinite(self.places[:, 0]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -391,7 +391,7 @@ def new_measurements_only(network: Network, store: ProjectStore) -> Network | No
         points,
         kinds=np.where(is_known, int(PointKind.FREE), points.kinds),
         places=np.where(is_known[:, None], old_points.places[old_row], points.places),
-        covariances=np.where(is_known[:, None, None], 0.0, points.covariances),
+        covariances=np.where(is_known[:, None, None], old_points.covariances[old_row], points.covariances),
     )
     rays = ~_repeated_rays(network, old, old_rows)
     ranges = ~_repeated_ranges(network, old, old_rows)

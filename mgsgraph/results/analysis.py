@@ -24,6 +24,7 @@ from mgsgraph.files.output.folders import ANALYSIS
 from mgsgraph.files.output.table import Column, Table, numbers, picked
 from mgsgraph.geometry.records import Index
 from mgsgraph.results.answers import Questions, curve_section, raster_section, replies
+from mgsgraph.results.ground import leave_out_section
 from mgsgraph.results.section import Section, record_of, sheets_by, table_of, write_sections
 from mgsgraph.results.verdict import headline, linearity_section, reason_sentences, tested_sentences
 from mgsgraph.text import NAMED, many, some
@@ -147,6 +148,8 @@ class AnalysisRequest:
     """A row per image of its largest tests."""
     levels: Levels = field(default_factory=Levels)
     """Significance level and power of the tests."""
+    leave_out: bool = False
+    """Control points, each left out in turn."""
 
     def __post_init__(self) -> None:
         for what, value in (("--sigma-px", self.sigma), ("--post", 1.0 if self.cell is None else self.cell)):
@@ -208,6 +211,8 @@ def analysis_sections(posterior: Posterior, request: AnalysisRequest, name: str)
             yield reliability_section(tests, request.suspects)
         if request.outliers:
             yield outliers_section(tests)
+    if request.leave_out:
+        yield leave_out_section(posterior.linearised)
     if request.weak:
         yield _weak_section(posterior, request.weak)
         if posterior.network.passes:

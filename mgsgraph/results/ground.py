@@ -1,23 +1,29 @@
 """The ground of a solution: points, ranges, effect of the laser, rejected observations, and other control
-(profile shifts, terrain, stereo surfaces, back-projections).
+(profile shifts, terrain, stereo surfaces, back-projections); checkpoints, and control points left out in turn.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
+from mgsgraph.adjustment.covariances import Linearised
 from mgsgraph.adjustment.multistart import Minima
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.checkpoints import Discrepancies, checkpoint_discrepancies, control_points, leave_out
 from mgsgraph.analysis.statistics import laser_gain, point_statistics, range_statistics, used_ray_counts
+from mgsgraph.errors import InputError
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.files.output.table import Table, numbers
 from mgsgraph.geometry.records import Array
-from mgsgraph.network import PointClass
+from mgsgraph.names import Names
+from mgsgraph.network import Network, PointClass
 from mgsgraph.network.observations import Coverage, coverage
 from mgsgraph.results.section import Section, record_of, table_of
-from mgsgraph.text import listed, many, root_mean_square, some_of, span, three
+from mgsgraph.text import length, listed, many, root_mean_square, some_of, span, three, two
 from mgsgraph.units import ARCSEC
 
+_AXES = ("east", "north", "up")
 _SAME_RATIO = 1.05
 """Ratio up to which two sigmas count as the same."""
 
@@ -128,6 +134,65 @@ def _datum_sentences(solution: Solution) -> list[str]:
         f"No laser, no ground control: only the orientation priors{held_images} ({span(sigmas[:, :3])} m, "
         f"{span(sigmas[:, 3:] / ARCSEC)} arcsec) fix the block, and the points' sigmas mostly repeat them."
     ]
+
+
+# --- checkpoints, and control points left out in turn
+
+
+def checkpoint_sections(solution: Solution) -> list[Section]:
+    """The checkpoints of a solution; no section without any."""
+    found = checkpoint_discrepancies(solution)
+    return [] if found is None else [_discrepancies_section("checkpoints", found, solution.network)]
+
+
+def leave_out_section(at: Linearised) -> Section:
+    """Control points, each left out in turn; InputError without any."""
+    if not any(control_points(at.network, kind).size for kind in (PointKind.CONSTRAINED, PointKind.FIXED)):
+        expected = "ground control with sigmas: Constrained points of [ties], or [ground_control]"
+        raise InputError("leave-out", "no point with known coordinates that takes part", expected, "adjust with some")
+    fixed = control_points(at.network, PointKind.FIXED)
+    ids = some_of(at.network.points.ids, fixed)
+    remark = [f"Fixed points can't be left out, as their coordinates have no sigma: {ids}."] if fixed.size else []
+    return _discrepancies_section("leave_out", leave_out(at), at.network, remark)
+
+
+def _discrepancies_section(name: str, found: Discrepancies, network: Network, remarks: Sequence[str] = ()) -> Section:
+    """The finding, whose name is that of its table, too."""
+    ids, table = network.points.ids, discrepancies_table(name, found, network)
+    sentences = [_sentence(name, found, ids)]
+    if found.undetermined.size:
+        sentences.append(f"{many(found.undetermined.size, 'point')} have no discrepancy, as nothing else determines "
+                         f"their position: {some_of(ids, found.undetermined)}.")  # fmt: skip
+    return Section(name, sentences=[*sentences, *remarks], tables=[table], csv=[table], numbers={
+        "rms_east_north_up_m": found.rms if found.points.size else None, "chi_square": found.chi_square,
+        "degrees_of_freedom": found.degrees, "range_95_percent": found.band, "p_value": found.p_value,
+        "points_in_chi_square": found.joint, "undetermined": ids[found.undetermined].tolist(),
+        "points": table.records(),
+    })  # fmt: skip
+
+
+def discrepancies_table(name: str, found: Discrepancies, network: Network) -> Table:
+    """One row per point: adjusted minus known, its sigmas, and in units of them."""
+    return table_of(name, {
+        "point": network.points.ids[found.points], "east_north_up": found.values, "sigma_east_north_up": found.sigmas,
+        "normalized": found.normalized,
+    })  # fmt: skip
+
+
+def _sentence(name: str, found: Discrepancies, ids: Names) -> str:
+    """Rms, and whether chi-square is in its band."""
+    what = "Checkpoints" if name == "checkpoints" else "Control points, each left out"
+    if not found.points.size:
+        return f"{what}: none has a discrepancy."
+    (low, high), (point, axis) = found.band, np.divmod(int(np.argmax(np.abs(found.normalized))), 3)
+    size = "smaller than" if found.chi_square < low else "larger than" if found.chi_square > high else "consistent with"
+    rms = listed([f"{length(value)} {way}" for value, way in zip(found.rms.tolist(), _AXES, strict=True)])
+    largest = f"{two(float(found.normalized[point, axis]))} sigmas ({ids[int(found.points[point])]}, {_AXES[axis]})"
+    of_some = f" of {found.joint} of them" if found.joint < found.points.size else ""
+    return (
+        f"{what} ({found.points.size}): adjusted minus known has rms {rms}, largest {largest}; chi-square{of_some} "
+        f"{found.chi_square:.3g} (95 % range {low:.3g} to {high:.3g}): {size} the stated sigmas."
+    )
 
 
 # --- further control

@@ -30,7 +30,14 @@ from mgsgraph.files.writing import read_record
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import Connectivity, connectivity_json, connectivity_statements
 from mgsgraph.results.archive import ARCHIVE, write_archive
-from mgsgraph.results.ground import control_section, laser_section, minima_section, points_section, ranges_section
+from mgsgraph.results.ground import (
+    checkpoint_sections,
+    control_section,
+    laser_section,
+    minima_section,
+    points_section,
+    ranges_section,
+)
 from mgsgraph.results.passes import passes_section, shared_section
 from mgsgraph.results.section import ROWS, Section, record_of, table_of
 from mgsgraph.results.tables import TableForm, connectivity_table, orientation_table, write_large_tables
@@ -112,7 +119,8 @@ def solution_sections(solution: Solution, connected: Connectivity | None = None)
     return [
         verdict_section(solution), Section("", sentences=_termination(solution)), drivers_section(solution),
         linearity_section(solution.linearity), minima_section(solution.minima), images_section(solution),
-        ranges_section(solution), laser_section(solution), control_section(solution), shared_section(solution),
+        ranges_section(solution), laser_section(solution), control_section(solution), *checkpoint_sections(solution),
+        shared_section(solution),
         passes_section(solution), points_section(solution),
         Section("", sentences=reading_statements(solution.network.images)),
         Section("connectivity", sentences=connectivity_statements(connected), numbers=connectivity_json(connected)),

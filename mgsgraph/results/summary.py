@@ -11,7 +11,7 @@ from mgsgraph.analysis.statistics import local_sigmas, range_statistics, ray_sta
 from mgsgraph.analysis.verdict import verdict
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network, PointClass
-from mgsgraph.results.ground import laser_section, omission_sentences
+from mgsgraph.results.ground import checkpoint_sections, laser_section, omission_sentences
 from mgsgraph.results.verdict import headline, linearity_section, reason_sentences, tested_sentences
 from mgsgraph.text import length, many, root_mean_square, two
 from mgsgraph.units import DEG, KM
@@ -32,6 +32,7 @@ def summary(solution: Solution) -> list[str]:
     """Lines for the terminal."""
     assessment = verdict(solution)
     sentences = [*reason_sentences(assessment.reasons), *_point_sentences(solution), *_fit_sentences(solution),
+                 *(sentence for section in checkpoint_sections(solution) for sentence in section.sentences[:1]),
                  *omission_sentences(solution)]
     if solution.linearity is not None and not solution.linearity.linear:
         sentences += linearity_section(solution.linearity).sentences

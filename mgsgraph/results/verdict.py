@@ -111,6 +111,8 @@ def _reason_sentence(reason: Reason) -> str:
         Cause.COMMON_ERROR: f"Residuals and corrections look like an error of {reason.what}: {size} sigmas{chance}.",
         Cause.GROUP: f"{reason.what[0].upper()}{reason.what[1:]} fit {size} times worse than stated{chance}: look for "
         f"blunders (--reject 4), or enlarge {key or 'their sigmas'}.",
+        Cause.CHECKPOINT: f"Checkpoints are {size} times farther from their known coordinates than stated{chance}: "
+        "look for a wrong datum or unit, or enlarge the sigmas of control.",
         Cause.OFFSET: f"The {reason.what} have a mean residual of {reason.size:+.2g} {reason.unit}, "
         f"expected 0{chance}.",
         Cause.OBSERVATION: f"{many(reason.count, 'point')} with outliers, the largest {reason.what} with "

@@ -103,13 +103,15 @@ def is_table(path: Path) -> bool:
     return path.suffix.lower() in TABLES
 
 
-def read_tie_points(path: Path, ellipsoid: Ellipsoid | None = None) -> TiePoints:
+def read_tie_points(
+    path: Path, ellipsoid: Ellipsoid | None = None, placed: Callable[[Columns], Columns] | None = None
+) -> TiePoints:
     """Tie points of a table (by the ending .csv or .parquet) or of an ISIS control network, on this body; see
-    `read_table`, `read_control_network`.
+    `read_table`, `read_control_network`. `placed` makes columns of places of a table's others.
     """
     ending = path.suffix.lower()
     if ending in TABLES:
-        points = _read(path, ellipsoid)[0]
+        points = _read(path, ellipsoid, placed)[0]
         return points.tie_points(lambda k, *_: f"{path}, point {points.ids[k]}", ellipsoid)
     if ending in _OF_OTHERS:
         expected = "a control network (.pvl, .net) or a table (.csv, .parquet)"
@@ -251,9 +253,12 @@ class _Rows:
         return values, stated
 
 
-def _read(path: Path, body: Ellipsoid | None) -> tuple[PointArrays, Index, Index]:
+def _read(
+    path: Path, body: Ellipsoid | None, placed: Callable[[Columns], Columns] | None = None
+) -> tuple[PointArrays, Index, Index]:
     """Points and measures, types of the measures (k,) and the reference of each point (n,), -1 for none."""
     table = _parquet_columns(path) if path.suffix.lower() == PARQUET else csv_columns(path)
+    table = table if placed is None else placed(table)
     names = header_of(tuple(table.values), f"{path}, {table.header}")
     table = replace(table, values=dict(zip(names, table.values.values(), strict=True)))
     table = table.chosen(np.flatnonzero(np.any([table.filled(name) for name in names], axis=0)))

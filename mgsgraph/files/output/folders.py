@@ -47,7 +47,7 @@ _KINDS = (DEMO, RECORD, REGISTRATION, PLAN, ANALYSIS, NODES, MATCH, DEM, COMPARI
 """The first of these in a folder says of what kind its results are."""
 TABLES = (
     DEMO, RECORD, "solution.npz", "summary.json", "points.csv", "points.parquet", "orientation.csv", "residuals.csv",
-    "residuals.parquet", "connectivity.csv",
+    "residuals.parquet", "connectivity.csv", "checkpoints.csv", "leave_out.csv",
     "shared.csv", "passes.csv", "drivers.csv", "report.html",
     "two_steps.txt", "two_steps.json", "two_steps.csv", "heights.csv", "height_cells.csv",  # of versions up to 0.2
     REGISTRATION, "registration.csv", "discrepancy.csv",

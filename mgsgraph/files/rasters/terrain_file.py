@@ -242,6 +242,10 @@ class TerrainRaster:
             float(step[1]), wraps, kind, self.vertical_sigma, self.planimetric_sigma,
         )  # fmt: skip
 
+    def at(self, points: Array) -> Array:
+        """Radii (n,) in m under points (n, 3) in m, body-fixed; NaN beside the posts and at missing ones."""
+        return self._radii(*planetocentric(points).T[:2])
+
     def _height(self, points: Array) -> Array:
         """(n,) m, of points (n, 3) above the reference."""
         if isinstance(self.reference, Ellipsoid):
@@ -270,7 +274,7 @@ class TerrainRaster:
         return low, high, np.array([side / np.cos(nearest), side])
 
     def _radii(self, longitudes: Array, latitudes: Array) -> Array:
-        """(n,) m at planetocentric places (n,) in rad; NaN beside the posts and missing ones."""
+        """(n,) m at planetocentric places (n,) in rad; NaN beside the posts and at missing ones."""
         last = np.array(self.values.shape) - 1.0
         all_radii, indices = np.full(longitudes.size, np.nan), np.arange(longitudes.size)
         radii = np.full(longitudes.size, self.projection.ellipsoid.equatorial)
