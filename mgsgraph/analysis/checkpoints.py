@@ -32,8 +32,8 @@ from mgsgraph.record import Record
 
 _MOST_JOINT = 200
 """Points whose joint covariance is formed; of more, so many at even steps."""
-_CONTROLLED = 1e-7
-"""Redundancy below which only rounding is left of a direction."""
+_CONTROLLED, _ROUNDING = 1e-7, 1e-12
+"""Below which only rounding is left of a direction: redundancy, a difference of 1, and variances over the largest."""
 _TAIL = 0.025
 """Probability beyond either end of the band of chi-square."""
 
@@ -122,7 +122,7 @@ def _at_checkpoints(solution: Solution) -> Discrepancies:
     joint = _joint(at_points(solution, chosen[some]), np.arange(some.size))
     joint += _block_diagonal(known.covariances[chosen[some]])
     scale, values = np.sqrt(np.diagonal(joint)), solution.places[chosen] - known.places[chosen]
-    test = _chi_square(values[some].ravel() / scale, joint / scale / scale[:, None])
+    test = _chi_square(values[some].ravel() / scale, joint / scale / scale[:, None], _ROUNDING)
     covariances = solution.covariances[chosen] + known.covariances[chosen]
     return _local(solution.network, chosen, values, covariances, (*test, some.size), others)
 
@@ -154,7 +154,7 @@ def leave_out(at: Linearised) -> Discrepancies:
     some = thinned(chosen.size, _MOST_JOINT)
     difference = _joint(at, chosen[some]) - 2.0 * _joint(estimator, chosen[some])
     turn = _block_diagonal(whitening[left[some]])
-    test = _chi_square(misfit[left[some]].ravel(), np.eye(3 * some.size) + turn @ difference @ turn.T)
+    test = _chi_square(misfit[left[some]].ravel(), np.eye(3 * some.size) + turn @ difference @ turn.T, _CONTROLLED)
     return _local(network, chosen, values, covariances, (*test, some.size), points[~controlled])
 
 
@@ -195,11 +195,11 @@ def _block_diagonal(blocks: Array) -> Array:
     return np.asarray(np.einsum("nij,nm->nimj", blocks, np.eye(n)).reshape(3 * n, 3 * n))
 
 
-def _chi_square(values: Array, covariance: Array) -> tuple[float, int]:
+def _chi_square(values: Array, covariance: Array, least: float) -> tuple[float, int]:
     """Chi-square of values (m,) with a covariance (m, m) of sizes about 1, and its degrees of freedom: directions
-    without variance, such as datum transformations that nothing else determines, do not count.
+    of less than the `least` variance, such as datum transformations that nothing else determines, do not count.
     """
     variances, directions = np.linalg.eigh(covariance)
-    sound = variances > _CONTROLLED
+    sound = variances > least
     along = directions.T[sound] @ values
     return float(np.sum(along**2 / variances[sound])), int(np.count_nonzero(sound))

@@ -391,8 +391,12 @@ def _read_control(
 
 def _with_checkpoints(
     points: TiePoints, point_class: PointClass, ids: Sequence[str]
-) -> tuple[TiePoints, Index]:
-    """Points, those of these ids free, and the class (n,) of each: of checkpoints that of ground control."""
+) -> tuple[TiePoints, Index | PointClass]:
+    """Points, those of these ids free, and the class (n,) of each, or the one of all: of checkpoints that of ground
+    control.
+    """
+    if not ids:
+        return points, point_class
     chosen = Names.of(ids).find(points.ids) >= 0
     for i in np.flatnonzero(chosen & (points.kinds == PointKind.FREE))[:1].tolist():
         found, expected = "a checkpoint without known coordinates (Free)", "a Constrained or Fixed point"

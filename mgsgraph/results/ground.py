@@ -161,8 +161,8 @@ def _discrepancies_section(name: str, found: Discrepancies, network: Network, re
     ids, table = network.points.ids, discrepancies_table(name, found, network)
     sentences = [_sentence(name, found, ids)]
     if found.undetermined.size:
-        sentences.append(f"{many(found.undetermined.size, 'point')} have no discrepancy, as nothing else determines "
-                         f"their position: {some_of(ids, found.undetermined)}.")  # fmt: skip
+        sentences.append(f"Nothing else determines the position of {many(found.undetermined.size, 'point')}, without "
+                         f"a discrepancy therefore: {some_of(ids, found.undetermined)}.")  # fmt: skip
     return Section(name, sentences=[*sentences, *remarks], tables=[table], csv=[table], numbers={
         "rms_east_north_up_m": found.rms if found.points.size else None, "chi_square": found.chi_square,
         "degrees_of_freedom": found.degrees, "range_95_percent": found.band, "p_value": found.p_value,

@@ -128,7 +128,7 @@ def test_what_has_no_discrepancy_is_named() -> None:
         keep = np.flatnonzero((net.rays.point >= unseen) | (net.rays.image == 0))
         solution = adjust_network(replace(net, rays=net.rays.chosen(keep)))
         np.testing.assert_array_equal(discrepancies(solution).undetermined, CHECKS[:unseen])
-        assert f"{unseen} points have no discrepancy" in checkpoint_sections(solution)[0].sentences[1]
+        assert f"the position of {unseen} points, without" in checkpoint_sections(solution)[0].sentences[1]
     mixed = with_points(controlled(), np.arange(6, 8), PointKind.FIXED, controlled().points.places)
     assert "Fixed points can't be" in leave_out_section(at_solution(adjust_network(mixed))).sentences[-1]
     with pytest.raises(InputError, match="no point with known coordinates that takes part"):
