@@ -276,13 +276,10 @@ def sort_points(
     fixed = network.points.kinds[example] == PointKind.FIXED
     polynomial = (of_example.image >= 0) & (of_example.node < 0)
     own_slope = np.append(np.isnan(common_slopes(network)[:, 0]), False)[of_example.image]
-    flags = polynomial.astype(np.int64), own_slope.astype(np.int64)
-    properties = of_example.kind, of_example.width, of_example.terms, of_example.shared, *flags
+    properties = of_example.kind, of_example.width, of_example.terms, of_example.shared, 2 * own_slope + polynomial
     shape = shapes(of_example.first, fixed.astype(np.int64), *properties)
     order = np.lexsort([np.arange(example.size), group, shape])
-    rank = np.empty_like(order)
-    rank[order] = np.arange(order.size)
-    point_order, point_index, count = counted(read_only(rank[number]), order.size)
+    point_order, point_index, count = counted(read_only(np.argsort(order)[number]), order.size)
     pieces = -(-count // PIECE)
     inside = within(pieces)
     of_order, first = _runs(of_example.first, order)
