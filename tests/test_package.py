@@ -297,7 +297,7 @@ def test_the_factor_graph_shares_no_line_with_the_kernel() -> None:
     assert not [name for name in files if name.startswith(("mgsgraph.kernel", "mgsgraph.adjustment.graph"))]
 
 
-REACH = 188
+REACH = 189
 """Files that adjusting a case may reach; whoever reads how an adjustment works has to know no others."""
 
 
