@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.case.schema import RESECTED, CaseInput, ImageInput, ResectionInput
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.cameras.camera import LineScanLabel, NaifKeywords, times_of_label
 from mgsgraph.files.cameras.label import read_line_scan_label
 from mgsgraph.files.labels.label_statements import require_usual_label
@@ -106,8 +106,8 @@ def _resected(
     stated, file = entry.resection, entry.label or entry.cube
     assert stated is not None
     assert file is not None
-    if entry.kernels:
-        raise InputError(where, "kernels beside it", "one of the two", "take one of them out")
+    require(not entry.kernels, where, "kernels beside it", "one of the two", "take one of them out")
+    require(not entry.held, where, "held = true beside it", "a start that is adjusted", "hold the other image, or none")
     images = {image.name: image for image in known.values()}
     like = images.get(stated.like) if stated.like else next(iter(images.values()))
     if like is None:

@@ -183,7 +183,7 @@ def _sentence(name: str, found: Discrepancies, ids: Names) -> str:
     """Rms, and whether chi-square is in its band."""
     what = "Checkpoints" if name == "checkpoints" else "Control points, each left out"
     if not found.points.size:
-        return f"{what}: none has a discrepancy."
+        return f"{what}: nothing could be compared with known coordinates."
     (low, high), (point, axis) = found.band, np.divmod(int(np.argmax(np.abs(found.normalized))), 3)
     size = "smaller than" if found.chi_square < low else "larger than" if found.chi_square > high else "consistent with"
     rms = listed([f"{length(value)} {way}" for value, way in zip(found.rms.tolist(), _AXES, strict=True)])

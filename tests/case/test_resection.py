@@ -167,6 +167,7 @@ FAULTS = {
     "half a place": ("{}", "{latitude_deg = 12.0}", "expected both, or neither"),
     "unknown image": ("{}", '{like = "B"}', r"resection, like: 'B'; expected an image with an orbit: KNOWN"),
     "kernels, too": ("{}", '{}, kernels = ["a.bsp"]', "kernels beside it"),
+    "held": ("{}", "{}, held = true", "held = true beside it"),
     "of support data": ('"known.isd"', '"known.isd", resection = {}', "resection for known.isd, which is"),
     "alone": ('{name = "KNOWN", isd = "known.isd"}, ', "", "no image with an orbit in the case"),
 }

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.csv_columns import CARTESIAN, MATRIX, OF_POINT, Columns, measured, whole
 from mgsgraph.files.rasters.raster_file import open_raster
 from mgsgraph.files.rasters.terrain_file import MapProjection, map_projection
@@ -70,6 +70,7 @@ class ControlMap:
             remedy = "take it out: position and sigmas follow from orthoimage and terrain"
             raise InputError(where, f"the column {name!r}", "positions in the orthoimage alone", remedy)
         rows = np.flatnonzero(table.filled(positions[0]) | table.filled(positions[1]))
+        require(rows.size > 0, where, "no position in the orthoimage in any row", f"{' and '.join(positions)}")
         read = table.chosen(rows)
         values = np.column_stack([measured(read.values[name], read.where) for name in positions])
         _require(np.all(np.isfinite(values), axis=1), read, "half a position", f"both {' and '.join(positions)}")

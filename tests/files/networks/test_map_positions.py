@@ -81,6 +81,7 @@ def test_covariances_follow_the_slope(body: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(("names", "position", "message"), [
     (PIXELS, (301.0, 10.0), "line 2, point P0: a position beyond the orthoimage; expected one in"),
     (PIXELS, (10.0, np.nan), "line 2, point P0: half a position; expected both map_line and map_sample"),
+    (PIXELS, (np.nan, np.nan), "line 1: no position in the orthoimage in any row; expected map_line and map_sample"),
     (PIXELS, (10.0, 10.0), "line 2, point P0: no height of the terrain model; expected a position over"),
     ("map_line,map_x", (10.0, 10.0), "line 1: columns map_line, map_x; expected map_line and map_sample"),
     ("sigma_line_px,ignore", (1.0, 0.0), "line 1: no columns of positions in the orthoimage; expected map_line"),
