@@ -133,9 +133,9 @@ def state_to_rows(count_i, count_j, width_i, width_j, w, s, t, pair):
     """BETWEEN: J_i S_ij J_j', between the rows of two observations."""
     f, g = s + RESULT + BY_STATE, t + RESULT + BY_STATE
     for row in range(count_i):
+        for r in range(width_j * LANES):
+            w[MIXED + r] = 0.0
         for b in range(width_j):
-            for l in range(LANES):
-                w[MIXED + b * LANES + l] = 0.0
             for a in range(width_i):
                 for l in range(LANES):
                     w[MIXED + b * LANES + l] += w[f + row * ROW + a * LANES + l] * pair[a * WIDTH + b * LANES + l]

@@ -172,9 +172,8 @@ def state_pair(count_i, count_j, width_i, width_j, own, w, s, t, pair):
         return
     f, g = s + RESULT + BY_STATE, t + RESULT + BY_STATE
     for row in range(count_i):
-        for b in range(width_j):
-            for l in range(LANES):
-                w[MIXED + b * LANES + l] = 0.0
+        for r in range(width_j * LANES):
+            w[MIXED + r] = 0.0
         for column in range(count_j):
             p, q, unit = s + B_L + 3 * row * LANES, t + B_L + 3 * column * LANES, own if row == column else 0.0
             for l in range(LANES):

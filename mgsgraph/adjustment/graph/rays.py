@@ -180,7 +180,8 @@ class RayConstants:
         if not takes_slope(self._model):
             form.append(np.zeros((k.size, 4)))  # `fill_scales` fills these
         elif np.isnan(self._slopes[j, 0]):
-            form.append(self.effects.slopes(j, rays.places[k, 1], values))
+            bent = self.effects.bends(j)
+            form.append(self.effects.slopes(j, rays.places[k, 1], values) if bent else pixels.slope)
         basis = terms.basis(j, moments, terms.of_rays[k], predicted)
         effects = self.effects.of_rays(j, moments.u, rays.places[k, 1], common).reshape(k.size, -1)
         store(k, self._table, 0, np.concatenate([part.T for part in (*form, *basis, effects)]), data)
