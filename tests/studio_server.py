@@ -131,7 +131,8 @@ class Page:
         self.tab.goto(running.root + running.entrance())
         self.until("Boolean(studio.scene && document.getElementById('start').view)")
         self.show("map")
-        self.tab.wait_for_selector("#map[data-ready]")
+        self.tab.wait_for_selector("#map[data-ready][data-outlines]")
+        self.until("!document.getElementById('map').view.asking")
 
     def run(self, script: str, *arguments: Any) -> Any:
         return self.tab.evaluate(script, *arguments)

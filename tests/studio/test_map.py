@@ -174,7 +174,6 @@ def seen(browser: Any, pictured_case: Path, tmp_path: Path) -> Iterator[Page]:
     with studio(folder, "--case", str(pictured_case)) as running:
         page = Page(browser, running)
         page.tab.set_viewport_size({"width": 1280, "height": 800})
-        page.until("!!document.getElementById('map').dataset.outlines")
         yield page
         page.close()
 
