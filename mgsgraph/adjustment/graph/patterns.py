@@ -74,6 +74,8 @@ class Patterns:
     """(m + 1,) first point of each piece."""
     range_slot: NDArray[np.int32]
     """(r,) the same of each network range."""
+    slopes: Array
+    """(images + 1, 2) as of `common_slopes`; zeros for what is in no image."""
 
     def piece_of(self, indices: Index | int) -> Index:
         """Piece of each index of the layout."""
@@ -136,13 +138,7 @@ class Terms:
 
 @cached_kernel
 def by_point(point, image, node, points):
-    """Rows of each point, in the order of image and first node (then as given).
-
-    Parameters
-    ----------
-    point, image, node : (k,)
-    points : int
-        Number of points n.
+    """Rows (k,) of each of n points, in the order of image and first node (then as given).
 
     Returns
     -------
@@ -275,7 +271,8 @@ def sort_points(
     member, group_first, group_member, group = _groups(of_example.pattern_of_entry, of_example.variable, example.size)
     fixed = network.points.kinds[example] == PointKind.FIXED
     polynomial = (of_example.image >= 0) & (of_example.node < 0)
-    own_slope = np.append(np.isnan(common_slopes(network)[:, 0]), False)[of_example.image]
+    slopes = np.vstack([common_slopes(network), np.zeros(2)])
+    own_slope = np.isnan(slopes[of_example.image, 0])
     properties = of_example.kind, of_example.width, of_example.terms, of_example.shared, 2 * own_slope + polynomial
     shape = shapes(of_example.first, fixed.astype(np.int64), *properties)
     order = np.lexsort([np.arange(example.size), group, shape])
@@ -290,7 +287,7 @@ def sort_points(
         of_example.image[of_order], of_example.node[of_order], of_example.width[of_order], of_example.terms[of_order],
         of_example.shared[of_order], entry, of_example.variable[entries], of_example.inside[entries], member[entries],
         point_order, point_index, np.repeat(np.arange(order.size), pieces),
-        np.append(np.repeat(np.cumsum(count) - count, pieces) + inside * PIECE, number.size), range_slot,
+        np.append(np.repeat(np.cumsum(count) - count, pieces) + inside * PIECE, number.size), range_slot, slopes,
     )  # fmt: skip
     return patterns, of_rays[2]
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.adjustment.graph.patterns import Patterns, Terms, counted
+from mgsgraph.adjustment.graph.patterns import Patterns, Terms
 from mgsgraph.adjustment.graph.variables import Variables, angles_of
 from mgsgraph.compiled import cached_kernel, compiled, in_threads
 from mgsgraph.factors.algebra import add, dot, scale, subtract, transform, transpose
@@ -24,7 +24,7 @@ from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.kernel.rows import CAMERA, IMAGE, OPK_PAPER, PREDICTED, Model, neighboring_pieces, takes_slope
 from mgsgraph.network import Network
-from mgsgraph.network.effects import SharedEffects, common_looks, common_slopes
+from mgsgraph.network.effects import SharedEffects, common_looks
 
 _SHARE = 1 << 16
 """Rays that a thread takes at a time."""
@@ -65,22 +65,22 @@ class RayConstants:
         piece: Index, before: Index,
     ) -> None:  # fmt: skip
         self._network, self._model, self._patterns, self._variables = network, model, patterns, variables
-        self._slopes = common_slopes(network)
         self.effects, looks = SharedEffects(network, angles_of(model)), common_looks(network)
         self._looks = [np.empty((1, 2, 0)), *(look for _, look in looks)]
         self._of_look = np.zeros((2, network.rays.point.size if looks else 0), dtype=np.int64)
         """(2, k) table and row of each ray's looks by errors in common; empty where there are none."""
         for number, (members, _) in enumerate(looks, 1):
             self._of_look[:, members] = np.full(members.size, number), np.arange(members.size)
-        order, _, sizes = counted(network.rays.image, len(network.images))
-        self._by_image, self._ends = order.astype(np.int32), [0, *np.cumsum(sizes).tolist()]
-        """(k,) rays in the order of their images, and where those of each begin."""
         piece_of = np.repeat(np.arange(piece.shape[0], dtype=np.int32), piece[:, 2])
         self.among = np.empty(slot.size, dtype=np.int32)
         """(k,) place of each ray among all observations; int32, for there are many."""
         self._table = network.rays.point, patterns.point_index, piece_of, piece, before, self.among
         """What `place_of` takes."""
         places_of_rays(slot, self._table)
+        observations = int(piece[-1, 4] + piece[-1, 2] * np.diff(patterns.first)[piece[-1, 0]]) if piece.size else 0
+        self._by_image, ends = by_image(network.rays.image, self.among, observations, len(network.images))
+        self._ends: list[int] = ends.tolist()
+        """(k,) rays in the order of their images, and where those of each begin."""
 
     def fill(
         self, data: Array, weight: Array, terms: Terms, bending: Array, crossing: Crossing | None, focal: Array
@@ -90,7 +90,8 @@ class RayConstants:
         lengths of the patterns' observations.
         """
         self._nodes = terms.of_rays if self._network.passes else None
-        weight[:, self.among] = 1.0 / self._network.rays.sigmas.T
+        sigmas = self._network.rays.sigmas
+        self._each(lambda _, k: set_weights(k, self.among, sigmas, weight))
         self.renew(data, terms, bending)
         if crossing is not None:
             self._cross(data, crossing, focal)
@@ -142,7 +143,7 @@ class RayConstants:
             image, lines = self._network.images[j], rays.places[k, 0]
             pose, detector = image.pose(lines).in_axes(self._axes[j]), self._pixels(j, k)
             scale = frozen_scale(pose, image.interior.focal_length, starts[rays.point[k]], detector.slope)
-            store(k, self._table, first, scale.reshape(-1, 4).T, data)
+            store(*constants_of(k, self._table), first, scale.reshape(-1, 4), data)
 
         self._each(rescale)
 
@@ -179,12 +180,16 @@ class RayConstants:
             form += [pose.velocity, rates, (lines - rays.places[k, 0])[:, None]]
         if not takes_slope(self._model):
             form.append(np.zeros((k.size, 4)))  # `fill_scales` fills these
-        elif np.isnan(self._slopes[j, 0]):
+        elif np.isnan(self._patterns.slopes[j, 0]):
             bent = self.effects.bends(j)
             form.append(self.effects.slopes(j, rays.places[k, 1], values) if bent else pixels.slope)
         basis = terms.basis(j, moments, terms.of_rays[k], predicted)
         effects = self.effects.of_rays(j, moments.u, rays.places[k, 1], common).reshape(k.size, -1)
-        store(k, self._table, 0, np.concatenate([part.T for part in (*form, *basis, effects)]), data)
+        begin, step = constants_of(k, self._table)
+        first = 0
+        for values in (*form, *basis, effects):
+            store(begin, step, first, values, data)
+            first += values.shape[1]
 
 
 def attitudes(pose: Pose, angles: int) -> Array:
@@ -240,35 +245,70 @@ def places_of_rays(slot, table):
         among[k] = piece[p, 4] + slot[k] * piece[p, 2] + index - piece[p, 1]
 
 
-@compiled
-def place_of(k, table):
-    """Where the constants of ray k begin in the data, and the step to the next one.
-
-    `table` holds the points of all rays (k,), the points' places in the layout (n,), the pieces (n,) of these, `piece`
-    and `before` as of `rows.lay_out_rows`, and places (k,) among all observations.
+@cached_kernel
+def by_image(image, among, observations, images):
+    """Rays (k,) image after image, those of an image in the order of the layout, and where those of each begin
+    (images + 1,). `among` as of `RayConstants`, of so many `observations`.
     """
-    point, point_index, piece_of, piece, before, among = table
-    p = piece_of[point_index[point[k]]]
-    size, rest = piece[p, 2], among[k] - piece[p, 4]
-    slot = rest // size
-    return piece[p, 3] + size * before[piece[p, 0], slot] + rest - slot * size, size
+    laid = np.full(observations, -1, dtype=np.int32)
+    begin, order = np.zeros(images + 1, dtype=np.int64), np.empty(image.size, dtype=np.int32)
+    for k in range(image.size):
+        laid[among[k]] = k
+        begin[image[k] + 1] += 1
+    for j in range(images):
+        begin[j + 1] += begin[j]
+    at = begin.copy()
+    for k in laid:
+        if k >= 0:
+            order[at[image[k]]] = k
+            at[image[k]] += 1
+    return order, begin
 
 
 @cached_kernel
-def store(rays, table, first, values, data):
-    """Store components (c, m) of some `rays` (m,) from the component `first` on; `table` is as of `place_of`.
+def set_weights(rays, among, sigmas, weight):
+    """Weights (2, t), the inverse of the sigmas (k, 2), of some rays."""
+    for k in rays:
+        for axis in range(2):
+            weight[axis, among[k]] = 1.0 / sigmas[k, axis]
+
+
+@cached_kernel
+def constants_of(rays, table):
+    """Where the constants of some rays (m,) begin in the data, and the steps from one component to the next (m,).
+
+    `table` holds the points of all rays (k,), the points' places in the layout (n,), the pieces (n,) of these, `piece`
+    and `before` as of `rows.lay_out_rows`, and places (k,) among all observations. Rays that are neighbors among these
+    are mostly of one image and piece; the first of them is looked for.
+    """
+    point, point_index, piece_of, piece, before, among = table
+    begin, step = np.empty(rays.size, dtype=np.int64), np.empty(rays.size, dtype=np.int64)
+    last, end = -2, -1
+    for r in range(rays.size):
+        place = np.int64(among[rays[r]])
+        if place == last + 1 and place < end:
+            begin[r], step[r] = begin[r - 1] + 1, step[r - 1]
+        else:
+            p = piece_of[point_index[point[rays[r]]]]
+            size, rest = piece[p, 2], place - piece[p, 4]
+            slot = rest // size
+            begin[r], step[r] = piece[p, 3] + size * before[piece[p, 0], slot] + rest - slot * size, size
+            end = piece[p, 4] + (slot + 1) * size
+        last = place
+    return begin, step
+
+
+@cached_kernel
+def store(begin, step, first, values, data):
+    """Store components (m, c) of rays whose constants begin at `begin` (m,), from the component `first` on.
 
     Component after component: those of one ray lie at distances that share one place of the processor's cache.
     """
-    at, step = np.empty(_BLOCK, dtype=np.int64), np.empty(_BLOCK, dtype=np.int64)
-    for begin in range(0, rays.size, _BLOCK):
-        size = min(_BLOCK, rays.size - begin)
-        for r in range(size):
-            start, step[r] = place_of(rays[begin + r], table)
-            at[r] = start + first * step[r]
-        for c in range(values.shape[0]):
-            for r in range(size):
-                data[at[r] + c * step[r]] = values[c, begin + r]
+    for at in range(0, begin.size, _BLOCK):
+        end = min(at + _BLOCK, begin.size)
+        for c in range(values.shape[1]):
+            for r in range(at, end):
+                data[begin[r] + (first + c) * step[r]] = values[r, c]
 
 
 @compiled

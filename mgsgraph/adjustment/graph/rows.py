@@ -37,7 +37,7 @@ from mgsgraph.kernel.rows import (
     numbers_stored,
 )
 from mgsgraph.network import Network
-from mgsgraph.network.effects import SharedEffects, common_lifts, common_slopes, known_motions
+from mgsgraph.network.effects import SharedEffects, common_lifts, known_motions
 from mgsgraph.network.parallel import parallel
 
 _SHARE = 0.25
@@ -236,7 +236,7 @@ def _observation_tables(network: Network, model: Model, variables: Variables, pa
     """Kinds of the patterns' observations, and how the unknowns act on them."""
     focal = np.array([image.interior.focal_length for image in network.images] + [0.0])
     rate = np.array([image.normalised_rate for image in network.images] + [0.0])
-    slope = np.vstack([common_slopes(network), np.zeros(2)])[patterns.image]
+    slope = patterns.slopes[patterns.image]
     rays, polynomial = patterns.kind == IMAGE, (patterns.image >= 0) & (patterns.node < 0)
     return {
         "pattern_observation": patterns.first,
@@ -374,9 +374,9 @@ def _starting_points(network: Network, crossing: Crossing | None) -> tuple[Array
     assert crossing is not None
     free, starts, angles = crossing
     require_on_ground(starts[free], angles[free], network.images[0].body, "images and their ties")
-    missing = np.flatnonzero(free & ~np.all(np.isfinite(starts), axis=1))
-    _start_on_the_ground(network, missing, starts)
-    starts[~np.all(np.isfinite(starts), axis=1)] = 0.0
+    unknown = ~np.all(np.isfinite(starts), axis=1)
+    _start_on_the_ground(network, np.flatnonzero(free & unknown), starts)
+    starts[unknown & ~free] = 0.0
     kinds = np.array([FREE, PRIOR, FIXED], dtype=np.int8)[network.points.kinds]
     kinds[network.undetermined | parallel(network, angles)] = OUT
     return starts, kinds
