@@ -43,6 +43,8 @@ _SLOWER = 0.5
 """Least length of a step, in lengths of the step before, of slow convergence."""
 _SLOW_STEPS = 3
 """Number of such steps, one after the other."""
+_FAR = 0.1
+"""Share of the cost: where a step gains more, points need not be solved to their last digits."""
 EARLY = 1e-7
 """Share of the cost: a step that gains less is some thousandths of a sigma long, near enough for the final steps."""
 _REMEDY = "look for blunders (reject), or try another loss"
@@ -133,17 +135,17 @@ class BundleProblem:
         long = self.graph.layout.cholesky.operations > _LONG * self.graph.rows.weight.shape[1]
         return KEEPING_LONGER if long else KEEPING
 
-    def at(self, state: Array, task: int) -> Reduction:
+    def at(self, state: Array, task: int, rough: bool = False) -> Reduction:
         """All points solved (and eliminated) at a state."""
         last = self._last
         if last is None or not last.serves(state, task):
             begin = last if last is not None and np.isfinite(last.cost) else None
-            self._last = last = self.graph.reduction(state, task, begin)
+            self._last = last = self.graph.reduction(state, task, begin, rough)
         return last
 
-    def cost(self, state: Array, task: int) -> float:
+    def cost(self, state: Array, task: int, rough: bool = False) -> float:
         """Cost of all points and of the priors at a state (columns,); the sweep of `task` is kept for `linear`."""
-        return self.graph.cost(self.at(state, task))
+        return self.graph.cost(self.at(state, task, rough))
 
     def exact_cost(self, state: Array) -> float:
         """Full cost, all points solved from their first places."""
@@ -234,7 +236,8 @@ def levenberg_marquardt(
         keep = rejected == 0 and damping <= _FIRST_DAMPING and length <= keeping.length * before
         keep = keep and predicted <= keeping.gain * cost and not _last(predicted, length, cost, settings)
         trial = state + step
-        new = problem.cost(trial, COSTS if rejected else GRADIENT if keep else SYSTEM)
+        rough = rejected == 0 and predicted > _FAR * cost
+        new = problem.cost(trial, COSTS if rejected else GRADIENT if keep else SYSTEM, rough)
         accepted = _lower(problem, state, trial, cost, new, predicted)
         now = Iteration(number, new, cost - new, predicted, length, damping, accepted)
         history.append(now)

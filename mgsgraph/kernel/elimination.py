@@ -400,9 +400,11 @@ INNER_STEPS = 250
 """Quadratic rows need one to three; far from its optimum a Cauchy or Tukey loss converges slowly."""
 BEGINNING = 30
 """Steps at most with plain squares, and with Huber's loss, before the loss that is asked for."""
-PLAIN_TOLERANCE = 1e-3
-"""Sigmas: after a shorter step the next would be some 1e-7 long (rows are linear to 1e-4 over a sigma), and what it
-would gain is known from the linear model to 1e-14: no second look is needed."""
+PLAIN_TOLERANCE = 1e-2
+"""Sigmas: after a shorter step the next would be some 1e-6 long (rows are linear to 1e-4 over a sigma), and what it
+would gain is known from the linear model to 1e-12: no second look is needed."""
+ROUGH_TOLERANCE = 0.5
+"""Sigmas, where the orientation is far from its optimum: what a point gains is known to some 1e-5 then."""
 SLOW_TOLERANCE = 1e-7
 """Sigmas, where a robust loss or the curvature of a terrain model makes the convergence linear."""
 SINGULAR = 1e-13
@@ -463,11 +465,11 @@ def largest_step(w):
 
 
 @inlined
-def solve_tile(rows, model, segments, count, x, points, move, everything, w, depth, store_rows):
+def solve_tile(rows, model, segments, count, x, points, move, everything, tolerance, w, depth, store_rows):
     """Coordinates of a tile's points of least cost with the orientation held: POINT, COST and STATUS, and rows
     there if `store_rows`.
 
-    Begins at `points` (n, 3); rows, FACTOR and FORWARD stay those of the coordinates before the last, short step.
+    Begins at `points` (n, 3), ends where a step is shorter than `tolerance` (sigmas); rows, FACTOR and FORWARD stay those of the coordinates before the last, short step.
     Unless `move`, the points stay where they are, and take part all if `everything`. With a robust loss the way is
     begun anew, at `rows.start` and with plain squares, for where such a loss is flat it leads nowhere; so earlier calls
     don't count. Tukey's loss follows Huber's, which has one minimum: plain squares alone would put a point between a
@@ -492,13 +494,13 @@ def solve_tile(rows, model, segments, count, x, points, move, everything, w, dep
             break
         step_points(w)
         last, steps = not (plainly or convexly), steps + 1
-        tolerance = SLOW_TOLERANCE if slow and last else PLAIN_TOLERANCE
-        if largest_step(w) < tolerance * tolerance or (steps == BEGINNING and not last):
+        shortest = SLOW_TOLERANCE if slow and last else tolerance
+        if largest_step(w) < shortest * shortest or (steps == BEGINNING and not last):
             if last:
                 break
             plainly, convexly, steps = False, plainly and convexly, 0
     if move and not fixed:
-        take_back(w)
+        take_back(tolerance, w)
 
 
 @inlined
@@ -512,7 +514,7 @@ def on_terrain(rows, segments):
 
 
 @lane
-def take_back(w):
+def take_back(tolerance, w):
     """Where the steps ran out before they were short, the linear model's promise of the last one doesn't count."""
     for l in range(LANES):
-        w[COST + l] += 0.5 * w[STEP_SQUARED + l] if w[STEP_SQUARED + l] > PLAIN_TOLERANCE * PLAIN_TOLERANCE else 0.0
+        w[COST + l] += 0.5 * w[STEP_SQUARED + l] if w[STEP_SQUARED + l] > tolerance * tolerance else 0.0

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from mgsgraph.compiled import cached_kernel, compile_beside, threads
 from mgsgraph.kernel.covariance import NUMBERS, covariance_tile, reliability_tile
-from mgsgraph.kernel.elimination import eliminate_tile, move_basis, solve_tile
+from mgsgraph.kernel.elimination import PLAIN_TOLERANCE, ROUGH_TOLERANCE, eliminate_tile, move_basis, solve_tile
 from mgsgraph.kernel.lanes import (
     BASIS,
     BETWEEN_STATES,
@@ -180,6 +180,7 @@ def sweep(
     model,
     x,
     task,
+    tolerance,
     first_piece,
     last_piece,
     scratch,
@@ -206,7 +207,8 @@ def sweep(
     while piece < last_piece:
         count, piece, first = fill(rows, piece, first, last_piece, segments)
         solve_tile(
-            rows, model, segments, count, x, points, task <= SYSTEM, task == RESIDUALS, w, depth, task != COSTS
+            rows, model, segments, count, x, points, task <= SYSTEM, task == RESIDUALS, tolerance, w, depth,
+            task != COSTS,
         )
         if task <= SYSTEM:
             store_points(rows, segments, count, w, points, states, costs)
@@ -245,7 +247,7 @@ def compile_sweep() -> None:
     owns = rows, none_of(Groups), none_of(NormalBlocks), Model(0, 0, 0, 0.0), np.zeros(0)
     results = np.zeros((0, 3)), np.zeros(0, dtype=np.int8), *(np.zeros(0) for _ in range(3)), np.zeros((0, 0, 0))
     kernel: Any = sweep
-    kernel.compile(tuple(typeof(one) for one in (*owns, COSTS, np.int64(0), np.int64(0), scratch, *results)))
+    kernel.compile(tuple(typeof(one) for one in (*owns, COSTS, PLAIN_TOLERANCE, np.int64(0), np.int64(0), scratch, *results)))
 
 
 def even_parts(rows: Rows, parts: int) -> Index:
@@ -294,6 +296,7 @@ def sweep_all(
     costs: Array | None = None,
     joint: Array | None = None,
     values: Array | None = None,
+    tolerance: float = PLAIN_TOLERANCE,
 ) -> tuple[Array, Array]:
     """A sweep over all pieces, in parts that `threads` share; blocks and gradient, summed.
 
@@ -323,7 +326,7 @@ def sweep_all(
         for k in left:
             sums = zeros()
             results = (scratch_for(rows), points, states, costs, *sums, values)
-            sweep(rows, groups, target, model, x, task, edges[k], edges[k + 1], *results)
+            sweep(rows, groups, target, model, x, task, tolerance, edges[k], edges[k + 1], *results)
             with lock:
                 waiting[k] = sums
                 while added in waiting:
@@ -378,15 +381,18 @@ def reduce(
     orientation: Array,
     task: int = SYSTEM,
     points: Array | None = None,
+    rough: bool = False,
 ) -> Reduction:
     """Solve all points for an orientation (sweep.COSTS) and eliminate them (GRADIENT, SYSTEM): one pass of the kernel.
 
     The inner solve begins at `points` (n, 3), where an earlier call ended (with a robust loss, and without them, at
-    `rows.start`): that saves steps; the result is the same to the tolerance of that solve.
+    `rows.start`): that saves steps; the result is the same to the tolerance of that solve, which may be `rough`.
     """
     points = (rows.start if points is None else points).copy()
     states, costs = np.empty(rows.kind.size, dtype=np.int8), np.empty(rows.piece.shape[0])
-    blocks, gradient = sweep_all(rows, groups, target, model, orientation, task, points, states, costs)
+    tolerance = ROUGH_TOLERANCE if rough else PLAIN_TOLERANCE
+    results = points, states, costs
+    blocks, gradient = sweep_all(rows, groups, target, model, orientation, task, *results, tolerance=tolerance)
     matrix, cost = blocks if task == SYSTEM else None, float(costs.sum())
     return Reduction(task, orientation.copy(), cost, costs, matrix, gradient, points, states)
 

@@ -22,7 +22,7 @@ from mgsgraph.adjustment.batch import (
 )
 from mgsgraph.adjustment.graph import BundleGraph, lay_out
 from mgsgraph.adjustment.settings import Iteration, SolverSettings
-from mgsgraph.kernel.sweep import GRADIENT, compile_sweep, sweep
+from mgsgraph.kernel.sweep import COSTS, GRADIENT, compile_sweep, sweep
 
 
 @dataclass
@@ -57,10 +57,11 @@ class Problem:
         lies: Iterator[float] | None = None,
     ) -> None:
         self._cost, self._gradient, self._matrix, self._lies = cost, gradient, matrix, lies
-        self.asked, self.exactly, self.kept = list[int](), 0, list[bool]()
+        self.asked, self.exactly, self.kept, self.rough = list[int](), 0, list[bool](), list[bool]()
 
-    def cost(self, state: np.ndarray, task: int = 0) -> float:
+    def cost(self, state: np.ndarray, task: int = 0, rough: bool = False) -> float:
         self.asked.append(task)
+        self.rough.append(rough)
         return self._cost(state) * (1.0 + (next(self._lies) if self._lies else 0.0))
 
     def exact_cost(self, state: np.ndarray) -> float:
@@ -127,6 +128,24 @@ def test_a_matrix_whose_factor_takes_long_is_made_more_rarely(monkeypatch: pytes
     assert block.keeping is KEEPING
     monkeypatch.setattr(batch, "_LONG", 0.0)
     assert block.keeping is KEEPING_LONGER
+
+
+def test_points_are_solved_roughly_only_where_a_step_gains_much() -> None:
+    """The cost of a block far from its optimum changes by less than 1e-5 of it then, and its optimum not at all."""
+    problem = Problem(
+        lambda x: 1000.0 + float(0.5 * x[0] ** 2 + 0.25 * x[0] ** 4),
+        lambda x: x + x**3, lambda x: np.diag(1.0 + 3.0 * x**2),
+    )  # fmt: skip
+    outcome = levenberg_marquardt(problem, np.array([20.0]), SolverSettings(cost_tolerance=1e-15), quiet)
+    gains = [now.predicted / (now.cost + now.decrease) for now in outcome.history if now.accepted]
+    assert problem.rough == [False, *(gain > 0.1 for gain in gains)]
+    assert True in problem.rough
+    layout = lay_out(network(pair()), SolverSettings())
+    graph, moves = BundleGraph(layout), layout.scales * np.geomspace(1e-5, 1.0, 11)[:, None]
+    begin = graph.reduction(np.zeros(layout.columns)).points
+    rough, exact = ([graph.reduction(move, COSTS, begin, one).cost for move in moves] for one in (True, False))
+    assert rough != exact
+    assert rough == pytest.approx(exact, rel=1e-5)
 
 
 def test_damping_is_eased_near_the_optimum_too() -> None:

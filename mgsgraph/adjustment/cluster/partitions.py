@@ -186,12 +186,13 @@ class Partitions(Sweeper):
     # --- what a Sweeper does
 
     def reduction(
-        self, layout: Layout, rows: Rows, orientation: Array, task: int, points: Array | Reduction | None
-    ) -> Reduction:
+        self, layout: Layout, rows: Rows, orientation: Array, task: int, points: Array | Reduction | None,
+        rough: bool = False,
+    ) -> Reduction:  # fmt: skip
         """All points solved (and eliminated)."""
         begin = points.points if isinstance(points, Reduction) else points
         parts = self._sweep(
-            layout, rows, reduce, lambda part: (orientation, task, None if begin is None else begin[part.points])
+            layout, rows, reduce, lambda part: (orientation, task, None if begin is None else begin[part.points], rough)
         )
         target, costs = layout.blocks.target, np.concatenate([part.piece_cost for part in parts])
         blocks = None if parts[0].blocks is None else np.zeros(target.size)

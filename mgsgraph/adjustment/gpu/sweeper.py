@@ -235,9 +235,10 @@ class GpuSweeper(Sweeper):
     # --- what a Sweeper does
 
     def reduction(
-        self, layout: Layout, rows: Rows, orientation: Array, task: int, points: Array | Reduction | None
-    ) -> Reduction:
-        """All points solved (and eliminated)."""
+        self, layout: Layout, rows: Rows, orientation: Array, task: int, points: Array | Reduction | None,
+        rough: bool = False,
+    ) -> Reduction:  # fmt: skip
+        """All points solved (and eliminated); `rough` saves nothing here, where a thread ends with its own point."""
         self._take(layout, rows)
         begin = points.on_device if isinstance(points, GpuReduction) else None
         if begin is None:

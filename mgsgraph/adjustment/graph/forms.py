@@ -100,11 +100,12 @@ class Sweeper:
     """What a user should know of who it was."""
 
     def reduction(
-        self, layout: Layout, rows: Rows, orientation: Array, task: int, points: Array | Reduction | None
-    ) -> Reduction:
+        self, layout: Layout, rows: Rows, orientation: Array, task: int, points: Array | Reduction | None,
+        rough: bool = False,
+    ) -> Reduction:  # fmt: skip
         """All points solved (and eliminated), see `kernel.sweep.reduce`; `points` as in `BundleGraph.reduction`."""
         begin = points.points if isinstance(points, Reduction) else points
-        return reduce(rows, layout.groups, layout.blocks.target, layout.model, orientation, task, begin)
+        return reduce(rows, layout.groups, layout.blocks.target, layout.model, orientation, task, begin, rough)
 
     def covariances(self, layout: Layout, rows: Rows, orientation: Array, joint: Array, points: Array) -> Array:
         """Covariances (n, 3, 3) of the points in m^2, zero for known ones."""
@@ -142,11 +143,13 @@ class BundleGraph:
         self.layout, self.sweeper = layout, sweeper
         self.rows = layout.rows if rows is None else rows
 
-    def reduction(self, orientation: Array, task: int = SYSTEM, points: Array | Reduction | None = None) -> Reduction:
+    def reduction(
+        self, orientation: Array, task: int = SYSTEM, points: Array | Reduction | None = None, rough: bool = False
+    ) -> Reduction:
         """All points solved (and eliminated) at an orientation vector (columns,), beginning at `points` (n, 3), or
-        where an earlier reduction ended.
+        where an earlier reduction ended; `rough` far from the optimum.
         """
-        return self.sweeper.reduction(self.layout, self.rows, orientation, task, points)
+        return self.sweeper.reduction(self.layout, self.rows, orientation, task, points, rough)
 
     def cost(self, reduction: Reduction) -> float:
         """Full cost: of all points, and of the priors on the shared unknowns."""
