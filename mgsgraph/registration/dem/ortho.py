@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.case.schema import CaseInput
 from mgsgraph.errors import InputError, errors_from
-from mgsgraph.geometry.body import geodetic
+from mgsgraph.geometry.body import east_north_up, geodetic
 from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.matching.patches import Tile, ortho_patch
 from mgsgraph.matching.scene import Ground, Picture, Scene
 from mgsgraph.names import image_names
-from mgsgraph.registration.dem.gridding import HeightGrid, MapGrid, bilinear
+from mgsgraph.registration.dem.gridding import HeightGrid, MapGrid, bilinear, orientation_nodes
 from mgsgraph.text import some
 from mgsgraph.workers import Progress, no_progress
 
@@ -29,6 +30,8 @@ _SIDE = 1024
 """pixels of a tile."""
 _REACH = 64
 """posts over which holes and the model's rim are filled to project a picture's pixels between them; they stay empty."""
+_AT_ONCE = 1 << 16
+"""Posts whose position has its covariance computed at a time."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,6 +103,46 @@ def _filled(heights: Array) -> Array:
         count = finite.sum(axis=0)
         filled[holes] = np.where(count > 0, np.where(finite, near, 0.0).sum(axis=0) / np.maximum(count, 1), np.nan)
     return np.where(np.isnan(filled), np.nanmean(heights), filled)
+
+
+def ortho_accuracy(posterior: Posterior, scene: Scene, matched: "DenseMatches", model: HeightGrid) -> Array:
+    """How well the ground that the ortho image shows is known to lie where it shows it, for sigma0 = 1.
+
+    The orientation moves a pixel's ray and the model together, by the covariance of the point where the rays of a match
+    meet. An error e of the height by matching moves the pixel along its ray u, by e u / (u v) with the model's slope in
+    v = (-slope east, -slope north, 1), taken as level at the model's rim.
+
+    Parameters
+    ----------
+    posterior : Posterior
+        Of the pictures' images.
+    scene : Scene
+        Pictures with their adjusted orientation.
+    matched : DenseMatches
+        Of the ortho image, which is the first picture of the pair.
+    model : HeightGrid
+        The terrain model.
+
+    Returns
+    -------
+    (3, rows, columns) array
+        At the model's posts: sigma east and north in m, and their correlation; NaN where the model has no height.
+    """
+    picture, nodes, grid = scene.pictures[matched.first], orientation_nodes(posterior, scene, matched), model.map
+    posts, slopes, heights = grid.posts(), np.nan_to_num(model.slopes).reshape(-1, 2), model.heights.ravel()
+    bands, known = np.full((3, heights.size), np.nan), np.flatnonzero(np.isfinite(heights))
+    for begin in range(0, known.size, _AT_ONCE):
+        some = known[begin : begin + _AT_ONCE]
+        points = grid.points(posts[some], heights[some])
+        pixels = picture.project(points)
+        along = unit_vectors(picture.image.sightlines(*pixels.T, picture.correction)[1])
+        normal = np.einsum("ni,nij->nj", np.column_stack([-slopes[some], np.ones(some.size)]), grid.frames(points))
+        moved = along * (model.matching.ravel()[some] / np.einsum("ni,ni->n", along, normal))[:, None]
+        level = east_north_up(points)[:, :2]
+        covariances = level @ (nodes.at(np.nan_to_num(pixels)) + moved[:, :, None] * moved[:, None]) @ np.swapaxes(level, 1, 2)
+        bands[:2, some] = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2)).T
+        bands[2, some] = covariances[:, 0, 1] / bands[:2, some].prod(axis=0)
+    return bands.reshape(3, grid.rows, grid.columns)
 
 
 _LEAST_SIGMA = 100.0
