@@ -5,6 +5,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
+from platform import node
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,7 +15,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.export import Target
 from mgsgraph.files.output.folders import EXPORT, PROGRAM, RECORD, fresh_folder
 from mgsgraph.files.output.table import write_json
-from mgsgraph.files.writing import read_record
+from mgsgraph.files.writing import account, read_record
 from mgsgraph.network import PointClass
 from mgsgraph.record import Record
 from mgsgraph.results.archive import read_solution
@@ -216,6 +217,17 @@ _USED_BY = {
 """Option of each setting that not all targets use, and those that do."""
 
 
+def _record_file(path: Path) -> Path:
+    """The record beside a solution."""
+    return (path if path.is_dir() else path.parent) / RECORD
+
+
+def _adjusted(path: Path) -> datetime:
+    """When the solution at a path was written, UTC."""
+    record = _record_file(path)
+    return datetime.fromtimestamp((record if record.is_file() else path).stat().st_mtime, UTC)
+
+
 class _Written(NamedTuple):
     """What was written, what is to be said of it, and what of it may replace which files."""
 
@@ -227,7 +239,11 @@ class _Written(NamedTuple):
 def _spice(solution: Solution, folder: Path, settings: ExportSettings, path: Path) -> _Written:
     from mgsgraph.export.spice import write_spice
 
-    return _Written(write_spice(solution, folder))
+    record = _record_file(path)
+    case = read_record(record).get("case") if record.is_file() else None
+    origin = f"Made by {account()} on {node()} from {path.resolve()}, adjusted {_adjusted(path):%Y-%m-%dT%H:%M:%SZ}"
+    origin += f", of the case {case}." if case else "."
+    return _Written(write_spice(solution, folder, origin=origin))
 
 
 def _csm(solution: Solution, folder: Path, settings: ExportSettings, path: Path) -> _Written:
@@ -269,14 +285,12 @@ def _cubes(solution: Solution, folder: Path, settings: ExportSettings, path: Pat
     from mgsgraph.export.cubes import write_cubes
     from mgsgraph.results.results import case_of
 
-    results = path if path.is_dir() else path.parent
-    case, record = settings.case or case_of(results), results / RECORD
+    case = settings.case or case_of(_record_file(path).parent)
     if settings.case is None and not case.is_file():
         raise InputError(str(path), f"its case is no longer at {case}", "the case of its cubes", "name it with --case")
     images = [image for image in decode(case).images if image.cube or image.label]
     files = {image.name: case.parent / str(image.cube or image.label) for image in images}
-    when = datetime.fromtimestamp((record if record.is_file() else path).stat().st_mtime, UTC)
-    paths, notes, new = write_cubes(solution, folder, files, when)
+    paths, notes, new = write_cubes(solution, folder, files, _adjusted(path))
     return _Written(paths, (*notes, *["Each copy takes the place of its cube, too."] * settings.update), new)
 
 

@@ -1,6 +1,7 @@
 """Exported SPICE kernels say the solution again, to SPICE alone, and a fault in any of them is seen."""
 
 import json
+import re
 from collections.abc import Callable, Iterator
 from contextlib import chdir, contextmanager
 from dataclasses import replace
@@ -13,7 +14,7 @@ import spiceypy
 from pass_files import write_block
 from spiceypy.utils.exceptions import SpiceyError
 
-from mgsgraph.adjustment.solution import Solution
+from mgsgraph.adjustment.solution import Solution, orientation_profiles
 from mgsgraph.case.reading import adjust, read_case
 from mgsgraph.errors import InputError
 from mgsgraph.export import spice
@@ -25,6 +26,7 @@ from mgsgraph.geometry.camera import Distortion, LrocNacDistortion, RadialDistor
 from mgsgraph.geometry.image import LineTiming, PushbroomImage, fit_polynomials
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.simulation.case_files import image_file
+from mgsgraph.units import ARCSEC
 
 LRO = Path(__file__).resolve().parents[2] / "scripts" / "cases" / "lro_nac_lola.toml"
 AIM = 0.01
@@ -248,6 +250,49 @@ def test_spice_knows_the_field_of_view(solution: Solution, tmp_path: Path) -> No
             assert spiceypy.vsep(corners[0], corners[1]) == pytest.approx(
                 image.pixel_angle / image.interior.sample_summing, rel=0.01
             )
+
+
+def comments_of(path: Path) -> str:
+    """The comment area of a binary kernel."""
+    handle = spiceypy.dafopr(str(path))
+    try:
+        count, lines, done = spiceypy.dafec(handle, 1000, 200)
+    finally:
+        spiceypy.dafcls(handle)
+    assert (count < 1000, done) == (True, True)
+    return "\n".join(lines)
+
+
+def test_binary_kernels_say_who_made_them_of_what_and_how_well(solution: Solution, tmp_path: Path) -> None:
+    moc = with_images(solution, lambda image: replace(image, mission="MGS" if image.name.endswith("A") else "MRO"))
+    write_spice(moc, tmp_path, origin="Made by me.")
+    words, profile = comments_of(tmp_path / "adjusted.bsp"), orientation_profiles(solution)
+    assert {comments_of(tmp_path / name) for name in ("adjusted.bc", "body.bc")} == {words}
+    assert f"mgsgraph {solution.versions['mgsgraph']}" in words
+    assert ("Made by me.\n" in words, words.count("-1.15")) == (True, 1)
+    found = re.findall(r"Sigmas of position (.*) m, of pointing (.*) arcsec", words)
+    stated = np.array([[part.replace(",", "").split() for part in row] for row in found], dtype=float)
+    for j, sigmas in enumerate((profile.position_sigma, profile.rotation_sigma / ARCSEC)):
+        np.testing.assert_allclose(stated[:, j], sigmas.reshape(2, -1, 3).mean(axis=1), rtol=0.06)
+
+
+def test_coverage_and_frames_are_those_of_the_images(solution: Solution, tmp_path: Path) -> None:
+    write_spice(solution, tmp_path)
+    images = [solution.image(j) for j in range(2)]
+    with loaded(tmp_path):
+        assert list(spiceypy.spkobj("adjusted.bsp")) == [-900_002, -900_001]
+        assert list(spiceypy.ckobj("adjusted.bc")) == [-900_002_000, -900_001_000]
+        fixed = spiceypy.namfrm("MGSGRAPH_MARS_FIXED")
+        for image, code in zip(images, (-900_001, -900_002), strict=True):
+            ends = image.timing.at(np.array([-10.0, image.lines + 10.0]))[0] + image.trajectory.epoch
+            ck = spiceypy.ckcov("adjusted.bc", 1000 * code, True, "SEGMENT", 0.0, "TDB")
+            for window in (spiceypy.spkcov("adjusted.bsp", code), ck):
+                start, stop = spiceypy.wnfetd(window, 0)
+                assert (len(window), start <= ends[0], stop >= ends[1]) == (2, True, True)
+                assert stop - start < 1.2 * (ends[1] - ends[0])
+            middle = float(ends.mean())
+            _, descriptor, _ = spiceypy.spksfs(code, middle, 40)
+            assert spiceypy.spkuds(descriptor)[:4] == (code, 499, fixed, 13)
 
 
 # --- planted faults

@@ -139,7 +139,8 @@ def ortho_accuracy(posterior: Posterior, scene: Scene, matched: "DenseMatches", 
         normal = np.einsum("ni,nij->nj", np.column_stack([-slopes[some], np.ones(some.size)]), grid.frames(points))
         moved = along * (model.matching.ravel()[some] / np.einsum("ni,ni->n", along, normal))[:, None]
         level = east_north_up(points)[:, :2]
-        covariances = level @ (nodes.at(np.nan_to_num(pixels)) + moved[:, :, None] * moved[:, None]) @ np.swapaxes(level, 1, 2)
+        spread = nodes.at(np.nan_to_num(pixels)) + moved[:, :, None] * moved[:, None]
+        covariances = level @ spread @ np.swapaxes(level, 1, 2)
         bands[:2, some] = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2)).T
         bands[2, some] = covariances[:, 0, 1] / bands[:2, some].prod(axis=0)
     return bands.reshape(3, grid.rows, grid.columns)

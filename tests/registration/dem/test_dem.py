@@ -289,7 +289,7 @@ def test_errors_of_heights_move_pixels_along_their_rays(ortho: tuple) -> None:
     first, model, _, some = ortho
     ground = model.map.points(model.map.posts()[some], model.heights.ravel()[some])
     picture = dem_site.scene().pictures[first]
-    origin, along = picture.image.sightlines(*picture.project(ground).T, picture.correction)
+    _, along = picture.image.sightlines(*picture.project(ground).T, picture.correction)
     along, met = along / np.linalg.norm(along, axis=1, keepdims=True), ground
     for _ in range(20):
         height = bilinear(model.heights, model.map.pixels(model.map.chart.plane(met))) + 1.0 + model.map.radius
