@@ -248,8 +248,7 @@ def _comments(
         f"Frame {body.frame}: body-fixed, as adjusted. Positions are geometric (no light time, no aberration).",
         "Time biases of the mission's kernels are in positions and attitudes already and must NOT be added again.",
         "Camera +Z is out of the lens; camera constants: adjusted.ti.",
-        "Sigmas are means over the image, for sigma0 = 1, along and about axes x, y, z: position body-fixed, pointing of",
-        "the camera.",
+        "Sigmas: means over the image, for sigma0 = 1, along body-fixed axes and about the camera's axes x, y, z.",
         *_words_of_passes(solution, paths),
         "",
     ]

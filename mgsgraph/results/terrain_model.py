@@ -238,9 +238,7 @@ def write_ortho(
 
 
 def write_ortho_accuracy(dem: Dem, path: Path) -> None:
-    """Write ortho_sigma.tif: how well the ground of the ortho image is known to lie where that shows it, on the posts
-    of the terrain model.
-    """
+    """Write ortho_sigma.tif: sigmas of positions in the ortho image, on the posts of the terrain model."""
     with _map_geotiff(dem.model.map, path, len(ORTHO_BANDS), dtype="float32", nodata=np.nan) as file:
         file.update_tags(program=PROGRAM, image=dem.images[dem.ortho], sigmas="for sigma0 = 1")
         for k, (name, values) in enumerate(zip(ORTHO_BANDS, dem.ortho_accuracy, strict=True), start=1):

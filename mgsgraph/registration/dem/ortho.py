@@ -106,27 +106,12 @@ def _filled(heights: Array) -> Array:
 
 
 def ortho_accuracy(posterior: Posterior, scene: Scene, matched: "DenseMatches", model: HeightGrid) -> Array:
-    """How well the ground that the ortho image shows is known to lie where it shows it, for sigma0 = 1.
+    """How well the ground of the ortho image, the first picture of the pair `matched`, is known to lie where it is shown.
 
-    The orientation moves a pixel's ray and the model together, by the covariance of the point where the rays of a match
-    meet. An error e of the height by matching moves the pixel along its ray u, by e u / (u v) with the model's slope in
-    v = (-slope east, -slope north, 1), taken as level at the model's rim.
-
-    Parameters
-    ----------
-    posterior : Posterior
-        Of the pictures' images.
-    scene : Scene
-        Pictures with their adjusted orientation.
-    matched : DenseMatches
-        Of the ortho image, which is the first picture of the pair.
-    model : HeightGrid
-        The terrain model.
-
-    Returns
-    -------
-    (3, rows, columns) array
-        At the model's posts: sigma east and north in m, and their correlation; NaN where the model has no height.
+    (3, rows, columns) at the model's posts, for sigma0 = 1: sigma east and north in m, and their correlation; NaN where
+    the model has no height. The orientation moves a pixel's ray and the model together, by the covariance of the point
+    where the rays of a match meet. An error e of the height by matching moves the pixel along its ray u, by e u / (u v)
+    with the model's slope in v = (-slope east, -slope north, 1), taken as level at the model's rim.
     """
     picture, nodes, grid = scene.pictures[matched.first], orientation_nodes(posterior, scene, matched), model.map
     posts, slopes, heights = grid.posts(), np.nan_to_num(model.slopes).reshape(-1, 2), model.heights.ravel()
