@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.export import Target
 from mgsgraph.files.output.folders import EXPORT, PROGRAM, RECORD, fresh_folder
 from mgsgraph.files.output.table import write_json
@@ -217,15 +217,10 @@ _USED_BY = {
 """Option of each setting that not all targets use, and those that do."""
 
 
-def _record_file(path: Path) -> Path:
-    """The record beside a solution."""
-    return (path if path.is_dir() else path.parent) / RECORD
-
-
-def _adjusted(path: Path) -> datetime:
-    """When the solution at a path was written, UTC."""
-    record = _record_file(path)
-    return datetime.fromtimestamp((record if record.is_file() else path).stat().st_mtime, UTC)
+def _record_of(path: Path) -> tuple[Path, datetime]:
+    """The record beside a solution, and when that was written, UTC."""
+    record = (path if path.is_dir() else path.parent) / RECORD
+    return record, datetime.fromtimestamp((record if record.is_file() else path).stat().st_mtime, UTC)
 
 
 class _Written(NamedTuple):
@@ -239,10 +234,9 @@ class _Written(NamedTuple):
 def _spice(solution: Solution, folder: Path, settings: ExportSettings, path: Path) -> _Written:
     from mgsgraph.export.spice import write_spice
 
-    record = _record_file(path)
-    case = read_record(record).get("case") if record.is_file() else None
-    origin = f"Made by {account()} on {node()} from {path.resolve()}, adjusted {_adjusted(path):%Y-%m-%dT%H:%M:%SZ}"
-    origin += f", of the case {case}." if case else "."
+    record, when = _record_of(path)
+    case = read_record(record).get("case", "unknown") if record.is_file() else "unknown"
+    origin = f"Made by {account()} on {node()} from {path.resolve()} (adjusted {when:%Y-%m-%dT%H:%M:%SZ}, case {case})."
     return _Written(write_spice(solution, folder, origin=origin))
 
 
@@ -281,16 +275,23 @@ def _gis(solution: Solution, folder: Path, settings: ExportSettings, path: Path)
 
 
 def _cubes(solution: Solution, folder: Path, settings: ExportSettings, path: Path) -> _Written:
-    from mgsgraph.case.case_file import decode
-    from mgsgraph.export.cubes import write_cubes
+    from mgsgraph.case.case_file import decode, image_of
+    from mgsgraph.export.cubes import is_changed, write_cubes
     from mgsgraph.results.results import case_of
 
-    case = settings.case or case_of(_record_file(path).parent)
+    record, when = _record_of(path)
+    case = settings.case or case_of(record.parent)
     if settings.case is None and not case.is_file():
         raise InputError(str(path), f"its case is no longer at {case}", "the case of its cubes", "name it with --case")
-    images = [image for image in decode(case).images if image.cube or image.label]
+    tables, names = decode(case), [image.name for image in solution.network.images]
+    images = [image for image in tables.images if image.cube or image.label]
+    for k, entry in enumerate(tables.images if settings.update and not tables.mountings else ()):
+        if entry.cube and entry.name in names:
+            cube, j = tables.orientations[k].nominal_of(image_of(tables, k, case)), names.index(entry.name)
+            found, remedy = "a cube that changed since it was adjusted", "adjust it anew, or leave out --update"
+            require(not is_changed(cube, solution, j), str(case.parent / entry.cube), found, "as it was", remedy)
     files = {image.name: case.parent / str(image.cube or image.label) for image in images}
-    paths, notes, new = write_cubes(solution, folder, files, _adjusted(path))
+    paths, notes, new = write_cubes(solution, folder, files, when)
     return _Written(paths, (*notes, *["Each copy takes the place of its cube, too."] * settings.update), new)
 
 

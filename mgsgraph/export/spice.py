@@ -115,9 +115,7 @@ class SpiceNaming(Record):
     """One is made when absent."""
 
 
-def write_spice(
-    solution: Solution, folder: Path, naming: SpiceNaming | None = None, origin: str = ""
-) -> list[Path]:
+def write_spice(solution: Solution, folder: Path, naming: SpiceNaming | None = None, origin: str = "") -> list[Path]:
     """Write the adjusted trajectory of every pass and image, and a meta-kernel.
 
     Images of a pass are of one spacecraft, whose SPK has one path, and each of a camera whose frame has a CK of its

@@ -28,9 +28,8 @@ _EXTENSIONS = {
 _EARLIEST = datetime(1972, 1, 1, tzinfo=UTC)
 """Start of UTC."""
 BANDS = ("height", "sigma", "sigma by matching", "sigma by orientation", "number of points")
-"""Bands of dem.tif, in m; the last one is a count."""
 ORTHO_BANDS = ("sigma east", "sigma north", "correlation of east and north")
-"""Bands of ortho_sigma.tif, in m; the last one is a ratio."""
+"""Bands of dem.tif and ortho_sigma.tif, in m; the last one of either has no unit."""
 
 
 def stac_item(dem: Dem, ortho: MapGrid, images: Iterable[PushbroomImage], files: Sequence[str]) -> dict[str, Any]:

@@ -241,10 +241,8 @@ def write_ortho_accuracy(dem: Dem, path: Path) -> None:
     """Write ortho_sigma.tif: sigmas of positions in the ortho image, on the posts of the terrain model."""
     with _map_geotiff(dem.model.map, path, len(ORTHO_BANDS), dtype="float32", nodata=np.nan) as file:
         file.update_tags(program=PROGRAM, image=dem.images[dem.ortho], sigmas="for sigma0 = 1")
-        for k, (name, values) in enumerate(zip(ORTHO_BANDS, dem.ortho_accuracy, strict=True), start=1):
-            file.write(values.astype(np.float32), k)
-            file.set_band_description(k, name)
-            file.set_band_unit(k, "m" if k < len(ORTHO_BANDS) else "1")
+        file.descriptions, file.units = ORTHO_BANDS, ("m", "m", "1")
+        file.write(dem.ortho_accuracy.astype(np.float32))
 
 
 def _map_geotiff(grid: MapGrid, path: Path, bands: int, **kind: Any) -> AbstractContextManager[Any]:

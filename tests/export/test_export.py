@@ -67,7 +67,7 @@ def test_kernels_are_verified_where_asked(solution: Path, tmp_path: Path) -> Non
     assert done.largest < FINE
     assert "read back by SPICE alone" in done.sentence
     words = " ".join((tmp_path / "out" / "adjusted.tm").read_text().split())
-    assert f"Made by {account()} on {node()} from {solution}, adjusted 20" in words
+    assert f"Made by {account()} on {node()} from {solution} (adjusted 20" in words
     noted = json.loads((tmp_path / "out" / "export.json").read_text())
     assert (noted["measures"], noted["largest_difference_px"]) == (done.measures, done.largest)
 

@@ -156,11 +156,10 @@ def dem_of(
         for k, pair in enumerate(matches)
     )  # fmt: skip
     most = max(matches, key=lambda pair: len(pair.anchors))
-    accuracy = ortho_accuracy(posterior, scene, most, model)
-    checks = checked(model, profiles)
     return Dem(
-        name, names, most.first, accuracy, model, heights, reference, pairs, spacing, window, checks, tuple(profiles)
-    )
+        name, names, most.first, ortho_accuracy(posterior, scene, most, model), model, heights, reference, pairs,
+        spacing, window, checked(model, profiles), tuple(profiles),
+    )  # fmt: skip
 
 
 def _kin(pairs: Sequence[tuple[int, int]]) -> Index:

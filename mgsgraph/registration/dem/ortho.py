@@ -30,8 +30,6 @@ _SIDE = 1024
 """pixels of a tile."""
 _REACH = 64
 """posts over which holes and the model's rim are filled to project a picture's pixels between them; they stay empty."""
-_AT_ONCE = 1 << 16
-"""Posts whose position has its covariance computed at a time."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,28 +104,26 @@ def _filled(heights: Array) -> Array:
 
 
 def ortho_accuracy(posterior: Posterior, scene: Scene, matched: "DenseMatches", model: HeightGrid) -> Array:
-    """How well the ground of the ortho image, the first picture of the pair `matched`, is known to lie where it is shown.
+    """Sigma east and north in m of positions in the ortho image, the first picture of a matched pair, and their
+    correlation: (3, rows, columns) at the model's posts, for sigma0 = 1; NaN where the model has no height.
 
-    (3, rows, columns) at the model's posts, for sigma0 = 1: sigma east and north in m, and their correlation; NaN where
-    the model has no height. The orientation moves a pixel's ray and the model together, by the covariance of the point
-    where the rays of a match meet. An error e of the height by matching moves the pixel along its ray u, by e u / (u v)
-    with the model's slope in v = (-slope east, -slope north, 1), taken as level at the model's rim.
+    The orientation moves rays and model together, by the covariance of the point where the rays of a match meet. An
+    error e of the height by matching moves a pixel along its ray u, by e u / (u v), v = (-slope east, -slope north, 1).
     """
     picture, nodes, grid = scene.pictures[matched.first], orientation_nodes(posterior, scene, matched), model.map
     posts, slopes, heights = grid.posts(), np.nan_to_num(model.slopes).reshape(-1, 2), model.heights.ravel()
     bands, known = np.full((3, heights.size), np.nan), np.flatnonzero(np.isfinite(heights))
-    for begin in range(0, known.size, _AT_ONCE):
-        some = known[begin : begin + _AT_ONCE]
-        points = grid.points(posts[some], heights[some])
+    for part in np.array_split(known, known.size // _SIDE // _REACH + 1):  # as many as find room
+        points = grid.points(posts[part], heights[part])
         pixels = picture.project(points)
         along = unit_vectors(picture.image.sightlines(*pixels.T, picture.correction)[1])
-        normal = np.einsum("ni,nij->nj", np.column_stack([-slopes[some], np.ones(some.size)]), grid.frames(points))
-        moved = along * (model.matching.ravel()[some] / np.einsum("ni,ni->n", along, normal))[:, None]
+        normal = np.einsum("ni,nij->nj", np.column_stack([-slopes[part], np.ones(part.size)]), grid.frames(points))
+        moved = along * (model.matching.ravel()[part] / np.einsum("ni,ni->n", along, normal))[:, None]
         level = east_north_up(points)[:, :2]
         spread = nodes.at(np.nan_to_num(pixels)) + moved[:, :, None] * moved[:, None]
         covariances = level @ spread @ np.swapaxes(level, 1, 2)
-        bands[:2, some] = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2)).T
-        bands[2, some] = covariances[:, 0, 1] / bands[:2, some].prod(axis=0)
+        bands[:2, part] = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2)).T
+        bands[2, part] = covariances[:, 0, 1] / bands[:2, part].prod(axis=0)
     return bands.reshape(3, grid.rows, grid.columns)
 
 
