@@ -116,7 +116,7 @@ def ortho_accuracy(posterior: Posterior, scene: Scene, matched: "DenseMatches", 
     for part in np.array_split(known, known.size // _SIDE // _REACH + 1):  # as many as find room
         points = grid.points(posts[part], heights[part])
         pixels = picture.project(points)
-        along = unit_vectors(picture.image.sightlines(*pixels.T, picture.correction)[1])
+        along = unit_vectors(picture.image.sightlines(pixels[:, 0], pixels[:, 1], picture.correction)[1])
         normal = np.einsum("ni,nij->nj", np.column_stack([-slopes[part], np.ones(part.size)]), grid.frames(points))
         moved = along * (model.matching.ravel()[part] / np.einsum("ni,ni->n", along, normal))[:, None]
         level = east_north_up(points)[:, :2]
