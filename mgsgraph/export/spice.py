@@ -49,6 +49,7 @@ from mgsgraph.files.labels.kernels import loaded, spice_words
 from mgsgraph.files.output.folders import PROGRAM
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import target_name
+from mgsgraph.geometry.plausibility import resection_remedy
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import Trajectory
 from mgsgraph.record import Record
@@ -232,9 +233,7 @@ def _carriers(solution: Solution, naming: SpiceNaming, measured: Reprojection) -
     return carriers
 
 
-def _comments(
-    solution: Solution, body: Body, paths: Paths, nodes: Sequence[AdjustedNodes], origin: str
-) -> tuple[str, ...]:
+def _comments(solution: Solution, body: Body, paths: Paths, nodes: Sequence[AdjustedNodes], origin: str) -> list[str]:
     """Origin of the files, and facts about all of them; printable ASCII."""
     versions = ", ".join(f"{name} {version}" for name, version in solution.versions.items())
     state = "converged" if solution.converged else "NOT converged"
@@ -252,19 +251,20 @@ def _comments(
     ]
     for j, (carrier, part) in enumerate(zip(paths.carriers, nodes, strict=True)):
         start, stop = part.epoch + part.times[[0, -1]]
-        sigmas = orientation_statistics(solution, j).mean_sigma
-        position, pointing = (", ".join(map(two, each)) for each in (sigmas[:3].tolist(), sigmas[6:] / ARCSEC))
+        sigmas, image = orientation_statistics(solution, j).mean_sigma, carrier.image
+        biased = image.mission == "MGS" and not resection_remedy([image])  # without kernels there is no bias of theirs
+        position, pointing = (" ".join(map(two, each)) for each in (sigmas[:3].tolist(), sigmas[6:] / ARCSEC))
         lines += [
-            f"Image {carrier.image.name}: spacecraft {carrier.spacecraft}, camera {carrier.camera} ({carrier.frame}),",
-            f"  lines {carrier.covered[0]:.1f} .. {carrier.covered[1]:.1f} of 0 .. {carrier.image.lines}, "
+            f"Image {image.name}: spacecraft {carrier.spacecraft}, camera {carrier.camera} ({carrier.frame}),",
+            f"  lines {carrier.covered[0]:.1f} .. {carrier.covered[1]:.1f} of 0 .. {image.lines}, "
             f"{start:.6f} .. {stop:.6f} s TDB past J2000,",
             f"  {part.times.size} nodes; interpolation between them is off by {part.error:.1e} px at most "
             f"(limit {TOLERANCE:g} px).",
             f"  Sigmas of position {position} m, of pointing {pointing} arcsec.",
-            *["  MOC's attitude bias of -1.15 s is in this attitude, once."] * (carrier.image.mission == "MGS"),
+            *["  MOC's attitude bias is in this attitude, once (-1.15 s unless the case states another)."] * biased,
         ]
     plain = [line if line.isascii() and line.isprintable() else ascii(line)[1:-1] for line in lines]
-    return tuple(part for line in plain for part in (wrap(line, _WIDTH, subsequent_indent="  ") or [""]))
+    return [part for line in plain for part in (wrap(line, _WIDTH, subsequent_indent="  ") or [""])]
 
 
 def _words_of_passes(solution: Solution, paths: Paths) -> list[str]:

@@ -254,7 +254,8 @@ def test_spice_knows_the_field_of_view(solution: Solution, tmp_path: Path) -> No
 
 def test_binary_kernels_say_what_they_are(solution: Solution, tmp_path: Path) -> None:
     """Comments: who made them of what, and how well; coverage, ids and frame, as spiceypy reads them."""
-    moc = with_images(solution, lambda image: replace(image, mission="MGS" if image.name.endswith("A") else "MRO"))
+    resected = {"SIM/A": ("resected: by ties",)}
+    moc = with_images(solution, lambda one: replace(one, mission="MGS", remarks=resected.get(one.name, ())))
     write_spice(moc, tmp_path, origin="Made by me.")
     words, profile = list[str](), orientation_profiles(solution)
     for name in ("adjusted.bsp", "adjusted.bc", "body.bc"):
