@@ -26,6 +26,7 @@ from mgsgraph.adjustment.graph.stereo import require_seen
 from mgsgraph.adjustment.settings import Iteration, SolverSettings
 from mgsgraph.errors import PointBehindCamera, SolverError, Unsolvable
 from mgsgraph.files.networks.tie_points import PointKind
+from mgsgraph.geometry.plausibility import resection_remedy
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.kernel.rows import BEHIND, GOOD, NO_LOSS, OUT, PREDICTED, TUKEY, WEAK, Rows, Small
 from mgsgraph.kernel.sweep import COSTS, SYSTEM, Reduction
@@ -499,5 +500,5 @@ def behind_camera(layout: Layout, behind: Index, point: Array) -> PointBehindCam
         f"point {network.points.ids[i]}, image {image.name}",
         f"the point lies behind the camera{more}",
         "a point before it",
-        "check the point's a-priori place, the measure and the image's orientation",
+        resection_remedy(network.images) or "check the point's a-priori place, the measure and the image's orientation",
     )

@@ -77,13 +77,16 @@ def losses(solution: Solution) -> tuple[Loss, ...]:
     rejected, table = rejected_points(solution), list[Loss]()
     for point_class, kind in _OF_CLASS.items():
         members = network.points.classes == point_class
+        members[network.points.checkpoints] = False  # they take no part
         table.append(Loss(kind, "", int(np.count_nonzero(rejected & members)), int(np.count_nonzero(members))))
     ranges = solution.ranges_used
     table.append(Loss(Kind.RANGES, "", int(np.count_nonzero(~ranges)), ranges.size))
     if network.stereo is not None:
         on = network.stereo.surface >= 0
         table.append(Loss(Kind.SHOTS, "", int(np.count_nonzero(on & ~solution.stereo_used)), int(np.count_nonzero(on))))
-    for j, (total, used) in enumerate(zip(rays.total.tolist(), rays.count.sum(axis=1).tolist(), strict=True)):
+    unplaced = np.isin(network.rays.point, network.points.checkpoints) & rejected[network.rays.point]
+    totals = rays.total - np.bincount(network.rays.image[unplaced], minlength=len(network.images))
+    for j, (total, used) in enumerate(zip(totals.tolist(), rays.count.sum(axis=1).tolist(), strict=True)):
         table.append(Loss(Kind.IMAGE, network.images[j].name, total - used, total))
     worth = [loss for loss in table if loss.total and (loss.fatal or loss.large)]
     return tuple(sorted(worth, key=lambda loss: -loss.share))

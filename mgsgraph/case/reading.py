@@ -49,6 +49,7 @@ from mgsgraph.names import Names
 from mgsgraph.network import TERRAIN, Network, Pass, PointClass, SharedUnknown
 from mgsgraph.network.observations import Members, TerrainModel
 from mgsgraph.record import Record
+from mgsgraph.text import many
 from mgsgraph.workers import no_progress
 
 if TYPE_CHECKING:
@@ -380,7 +381,10 @@ def _read_control(
         model, _ = read_terrain_model(entry.terrain, path, images)
         sigmas = entry.terrain.vertical_sigma_m, entry.map_sigma_px, entry.map_sigma_m or 0.0
         control_map = ControlMap(path.parent / entry.orthoimage, model.at, *sigmas, images[0].body)
-        return read_tie_points(file, images[0].body, control_map.ground_columns), []
+        points = read_tie_points(file, images[0].body, control_map.ground_columns)
+        free = int(np.count_nonzero(points.kinds == PointKind.FREE))
+        without = f"{file.name}: {many(free, 'point')} without a position in the orthoimage, therefore Free"
+        return points, [without] if free else []
     stated = NAMED[datum] if isinstance(datum, str) else Ellipsoid(*datum) if datum else None
     remarks = list[str]()
     if stated is None and stated_datum(file) is None:

@@ -25,7 +25,7 @@ from mgsgraph.files.pvl import read_label
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import east_north, from_planetocentric, is_another, surface_radii, target_name
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.plausibility import require_plausible
+from mgsgraph.geometry.plausibility import START, require_plausible
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import circular_flight, flight_frame, tdb_of_utc
 from mgsgraph.units import DEG, KM
@@ -124,9 +124,9 @@ def _resected(
         direction = from_planetocentric(np.array([stated.longitude_deg * DEG, stated.latitude_deg * DEG, 1.0]))
         ground, source = direction * surface_radii(direction[None], like.body), "as stated"
     image = nominal_image(label, like, ground, stated, entry.name)
-    require_plausible(image, where)
+    require_plausible(image, where if stated.altitude_km is None else f"{where}, altitude_km")
     sigmas = f"{RESECTED['position_sigma_m']:g} m and {RESECTED['angle_sigma_mrad']:g} mrad unless stated"
-    return replace(image, remarks=(f"resected: circular orbit like {like.name}'s, middle {source}; sigmas {sigmas}",))
+    return replace(image, remarks=(f"{START}circular orbit like {like.name}'s, middle {source}; sigmas {sigmas}",))
 
 
 def nominal_image(

@@ -297,8 +297,8 @@ def dem(
     """Match the images of RESULT (of `mgsgraph adjust`) or PROJECT densely and write a terrain model.
 
     OUT then holds dem.tif (height, sigma, its parts by matching and by orientation, number of points), ortho.tif (an
-    image laid on it), dem.json, shots.csv (heights against laser shots that
-    took no part in the adjustment) and a figure.
+    image laid on it), ortho_sigma.tif (sigmas of positions in it), dem.json, shots.csv (heights against laser shots
+    that took no part in the adjustment) and a figure.
     """
     from typing import cast
 

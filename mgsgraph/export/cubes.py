@@ -17,9 +17,10 @@ import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from datetime import datetime
-from hashlib import file_digest
-from itertools import pairwise
+from hashlib import file_digest, sha256
+from itertools import chain, pairwise
 from pathlib import Path
+from platform import node
 from typing import NamedTuple
 
 import numpy as np
@@ -48,7 +49,7 @@ from mgsgraph.files.labels.isis_cube import (
 from mgsgraph.files.opening import ANY_SIZE, opened, read_json, sha256_of
 from mgsgraph.files.output.folders import PROGRAM
 from mgsgraph.files.pvl import Block, Value, keyword_lines, read_label, text_value
-from mgsgraph.files.writing import fresh_file, write_file, writing_to
+from mgsgraph.files.writing import account, fresh_file, write_file, writing_to
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
@@ -56,8 +57,8 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.text import listed, many
 from mgsgraph.units import KM
 
-_TOLERANCE, LARGEST = 2e-5, 1e-4
-"""px, by which interpolation between samples may be off, and by which what is read back may."""
+_TOLERANCE, LARGEST, _CHANGED = 2e-5, 1e-4, 1e-2
+"""px, by which interpolation between samples may be off, what is read back may, and a cube from what was adjusted."""
 _DEGREES, _PLACES = range(1, 10), (np.arange(5) + 0.5) / 5
 """Of polynomials, tried in turn; shares of lines and samples at which cameras are compared."""
 _POINTING, _POSITION = _RENEWED_TABLES = "InstrumentPointing", "InstrumentPosition"
@@ -224,14 +225,15 @@ def _with_json(path: Path, folder: Path, tables: _Tables, instrument: int, words
 
 def _with_blobs(path: Path, root: Block, folder: Path, tables: _Tables, time: str, words: str) -> _New:
     """A cube with other tables behind it, or a detached label with a file of them."""
-    blobs = [*_table_blobs(root, tables, words), _history(path, root, time, words)]
-    data = b"".join(blob.content for blob in blobs)
+    blobs = [_history(path, root, time, words), *_table_blobs(root, tables, words)]
+    data, behind = b"".join(blob.content for blob in blobs), sha256()
     if detached_file(path, root.inner("IsisCube").inner("Core")) != path:
         beside = f"{path.stem}.{zlib.crc32(data):08x}.tables"
         write_file(folder / beside, data)
         write_file(folder / path.name, _relabelled(root, blobs, 0, time, beside).encode("latin-1"))
         return [(folder / beside, path.with_name(beside)), (folder / path.name, path)]
-    text, room, grown = _relabelled(root, blobs, path.stat().st_size, time), _room(root), 0
+    size, room, grown = _kept_size(path, root), _room(root), 0
+    text = _relabelled(root, blobs, size, time)
     if len(text) >= room:
         grown = -(-(len(text) + _BLOCK // 16 - room) // _BLOCK) * _BLOCK
         text = _START.sub(lambda found: f"{found[1]}{int(found[2]) + grown}", text)
@@ -240,16 +242,27 @@ def _with_blobs(path: Path, root: Block, folder: Path, tables: _Tables, time: st
         old.seek(room)
         with writing_to(folder / path.name), temporary.open("wb") as new:
             new.write(text.encode("latin-1").ljust(room + grown, b"\0"))
-            shutil.copyfileobj(old, new)
-            new.write(data)
-        old.seek(room)
-        behind = file_digest(old, "sha256")
-        behind.update(data)
+            for chunk in chain(iter(lambda: old.read(min(_BLOCK, size - old.tell())), b""), [data]):
+                behind.update(chunk)
+                new.write(chunk)
         with opened(temporary, ANY_SIZE) as copy:
             copy.seek(room + grown)
             if behind.digest() != file_digest(copy, "sha256").digest():
                 raise InputError(str(folder / path.name), "bytes that are read back otherwise", f"those of {path}")
     return [(folder / path.name, path)]
+
+
+def _kept_size(path: Path, root: Block) -> int:
+    """Bytes before the history and tables at the file's end, whose place the new ones take."""
+    size, renewed = path.stat().st_size, [block for block in root.blocks if _is_renewed(block)]
+    for block in sorted(renewed, key=lambda block: -block.count("StartByte")):
+        start, stop = np.cumsum([block.count("StartByte") - 1, block.count("Bytes")]).tolist()
+        size = start if stop == size and detached_file(path, block) == path else size
+    return size
+
+
+def _is_renewed(block: Block) -> bool:
+    return block.name == "history" or _key(block) in {("table", name.lower()) for name in _RENEWED_TABLES}
 
 
 def _table_blobs(root: Block, tables: _Tables, words: str) -> Iterator[_Blob]:
@@ -276,7 +289,8 @@ def _history(path: Path, root: Block, time: str, words: str) -> _Blob:
         with opened(detached_file(path, block), ANY_SIZE) as file:
             file.seek(block.count("StartByte") - 1)
             before = file.read(block.count("Bytes")) + b"\n"
-    keys: list[tuple[str, Value]] = [("ExecutionDateTime", time), ("Description", text_value(words, "history"))]
+    keys: list[tuple[str, Value]] = [("ExecutionDateTime", time), ("HostName", text_value(node(), "history"))]
+    keys += [("UserName", text_value(account(), "history")), ("Description", text_value(words, "history"))]
     entry = "\n".join([f"Object = {PROGRAM}", *keyword_lines(keys, 2), "End_Object", ""])
     return _Blob("History", blocks[0].text("Name") if blocks else "IsisCube", (), (), before + entry.encode())
 
@@ -319,9 +333,8 @@ def _room(root: Block) -> int:
 
 def _files_of(path: Path, beside: Path | None, root: Block) -> set[Path]:
     """Files of a cube that stay as they are: the label of JSON, what a detached one names beside the new tables."""
-    renewed, core = {("table", name.lower()) for name in _RENEWED_TABLES}, root.inner("IsisCube").inner("Core")
-    kept = [block for block in root.blocks if block.name != "history" and _key(block) not in renewed]
-    return {path} if beside else {detached_file(path, block) for block in (core, *kept)} - {path}
+    kept = [root.inner("IsisCube").inner("Core"), *(block for block in root.blocks if not _is_renewed(block))]
+    return {path} if beside else {detached_file(path, block) for block in kept} - {path}
 
 
 # --- in place
@@ -350,13 +363,24 @@ def replace_cubes(pairs: Sequence[tuple[Path, Path]]) -> None:
 # --- read back
 
 
+def is_changed(cube: PushbroomImage, solution: Solution, j: int) -> bool:
+    """Whether a cube has neither the camera that was adjusted nor the adjusted one, which an earlier update leaves."""
+    cameras = (solution.network.images[j], None), (solution.image(j), solution.correction(j))
+    return not any(_distance(cube, *camera) <= _CHANGED for camera in cameras)
+
+
 def _compared(path: Path, image: PushbroomImage, correction: OrientationCorrection) -> float:
-    """px, largest distance at 25 pixels of the copy's camera from the solution's; InputError where it is too large."""
-    lines, samples = (axis.ravel() for axis in np.meshgrid(_PLACES * image.lines, _PLACES * image.samples))
-    ground, _ = image.image_to_ground(lines, samples, 0.0, correction)
-    seen, _ = read_isis_cube(path, image.name).ground_to_image(ground)
-    off = np.linalg.norm(seen - np.column_stack([lines, samples]), axis=1)[np.isfinite(ground).all(axis=1)]
-    largest = float(off.max()) if off.size else np.nan
+    """px, the copy's camera from the solution's; InputError where it is too far from it."""
+    largest = _distance(read_isis_cube(path, image.name), image, correction)
     if not largest <= LARGEST:
         raise InputError(str(path), f"a camera {largest:.3g} px off the solution's", f"at most {LARGEST:g} px", _REMEDY)
     return largest
+
+
+def _distance(cube: PushbroomImage, image: PushbroomImage, correction: OrientationCorrection | None) -> float:
+    """px, largest distance at 25 pixels of a cube's camera from another; NaN where that sees no ground."""
+    lines, samples = (axis.ravel() for axis in np.meshgrid(_PLACES * image.lines, _PLACES * image.samples))
+    ground, _ = image.image_to_ground(lines, samples, 0.0, correction)
+    seen, _ = cube.ground_to_image(ground)
+    off = np.linalg.norm(seen - np.column_stack([lines, samples]), axis=1)[np.isfinite(ground).all(axis=1)]
+    return float(off.max()) if off.size else np.nan

@@ -5,16 +5,17 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
+from platform import node
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.export import Target
 from mgsgraph.files.output.folders import EXPORT, PROGRAM, RECORD, fresh_folder
 from mgsgraph.files.output.table import write_json
-from mgsgraph.files.writing import read_record
+from mgsgraph.files.writing import account, read_record
 from mgsgraph.network import PointClass
 from mgsgraph.record import Record
 from mgsgraph.results.archive import read_solution
@@ -216,6 +217,12 @@ _USED_BY = {
 """Option of each setting that not all targets use, and those that do."""
 
 
+def _record_of(path: Path) -> tuple[Path, datetime]:
+    """The record beside a solution, and when that was written, UTC."""
+    record = (path if path.is_dir() else path.parent) / RECORD
+    return record, datetime.fromtimestamp((record if record.is_file() else path).stat().st_mtime, UTC)
+
+
 class _Written(NamedTuple):
     """What was written, what is to be said of it, and what of it may replace which files."""
 
@@ -227,7 +234,10 @@ class _Written(NamedTuple):
 def _spice(solution: Solution, folder: Path, settings: ExportSettings, path: Path) -> _Written:
     from mgsgraph.export.spice import write_spice
 
-    return _Written(write_spice(solution, folder))
+    record, when = _record_of(path)
+    case = read_record(record).get("case", "unknown") if record.is_file() else "unknown"
+    origin = f"Made by {account()} on {node()} from {path.resolve()} (adjusted {when:%Y-%m-%dT%H:%M:%SZ}, case {case})."
+    return _Written(write_spice(solution, folder, origin=origin))
 
 
 def _csm(solution: Solution, folder: Path, settings: ExportSettings, path: Path) -> _Written:
@@ -265,17 +275,22 @@ def _gis(solution: Solution, folder: Path, settings: ExportSettings, path: Path)
 
 
 def _cubes(solution: Solution, folder: Path, settings: ExportSettings, path: Path) -> _Written:
-    from mgsgraph.case.case_file import decode
-    from mgsgraph.export.cubes import write_cubes
+    from mgsgraph.case.case_file import decode, image_of
+    from mgsgraph.export.cubes import is_changed, write_cubes
     from mgsgraph.results.results import case_of
 
-    results = path if path.is_dir() else path.parent
-    case, record = settings.case or case_of(results), results / RECORD
+    record, when = _record_of(path)
+    case = settings.case or case_of(record.parent)
     if settings.case is None and not case.is_file():
         raise InputError(str(path), f"its case is no longer at {case}", "the case of its cubes", "name it with --case")
-    images = [image for image in decode(case).images if image.cube or image.label]
+    tables, names = decode(case), [image.name for image in solution.network.images]
+    images = [image for image in tables.images if image.cube or image.label]
+    for k, entry in enumerate(tables.images if settings.update and not tables.mountings else ()):
+        if entry.cube and entry.name in names:
+            cube, j = tables.orientations[k].nominal_of(image_of(tables, k, case)), names.index(entry.name)
+            found, remedy = "a cube that changed since it was adjusted", "adjust it anew, or leave out --update"
+            require(not is_changed(cube, solution, j), str(case.parent / entry.cube), found, "as it was", remedy)
     files = {image.name: case.parent / str(image.cube or image.label) for image in images}
-    when = datetime.fromtimestamp((record if record.is_file() else path).stat().st_mtime, UTC)
     paths, notes, new = write_cubes(solution, folder, files, when)
     return _Written(paths, (*notes, *["Each copy takes the place of its cube, too."] * settings.update), new)
 

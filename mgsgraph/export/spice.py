@@ -21,6 +21,7 @@ import spiceypy
 from spiceypy.utils.exceptions import NotFoundError
 
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.statistics import orientation_statistics
 from mgsgraph.errors import InputError, require
 from mgsgraph.export.spice_nodes import (
     TOLERANCE,
@@ -48,10 +49,12 @@ from mgsgraph.files.labels.kernels import loaded, spice_words
 from mgsgraph.files.output.folders import PROGRAM
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import target_name
+from mgsgraph.geometry.plausibility import resection_remedy
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import Trajectory
 from mgsgraph.record import Record
-from mgsgraph.units import KM
+from mgsgraph.text import two
+from mgsgraph.units import ARCSEC, KM
 
 _DEGREE = 3
 """Of the Hermite interpolation: between two nodes, as `PositionTable`."""
@@ -113,7 +116,7 @@ class SpiceNaming(Record):
     """One is made when absent."""
 
 
-def write_spice(solution: Solution, folder: Path, naming: SpiceNaming | None = None) -> list[Path]:
+def write_spice(solution: Solution, folder: Path, naming: SpiceNaming | None = None, origin: str = "") -> list[Path]:
     """Write the adjusted trajectory of every pass and image, and a meta-kernel.
 
     Images of a pass are of one spacecraft, whose SPK has one path, and each of a camera whose frame has a CK of its
@@ -127,6 +130,8 @@ def write_spice(solution: Solution, folder: Path, naming: SpiceNaming | None = N
         Exists; files of these names are replaced.
     naming : SpiceNaming, optional
         The mission's ids and clock.
+    origin : str
+        Who made them from what, for the comments.
 
     Returns
     -------
@@ -145,7 +150,7 @@ def write_spice(solution: Solution, folder: Path, naming: SpiceNaming | None = N
     >>> mgsgraph.write_spice(solution, Path("."), naming)[0].suffix
     '.tm'
     """
-    export = _exported(solution, naming or SpiceNaming())
+    export = _exported(solution, naming or SpiceNaming(), origin)
     clocks, texts = _texts(folder, export)
     with loaded([folder / name for name in (*clocks, NAMES[1])]), chdir(folder):  # SPICE holds names of 255 characters
         _write_positions(NAMES[5], export)
@@ -187,7 +192,7 @@ class _Export:
             yield carrier, nodes, nodes.times + nodes.epoch, carrier.image.name[:_SEGMENT]
 
 
-def _exported(solution: Solution, naming: SpiceNaming) -> _Export:
+def _exported(solution: Solution, naming: SpiceNaming, origin: str) -> _Export:
     for name in naming.images.keys() - {image.name for image in solution.network.images}:
         raise InputError(f"NAIF ids of {name}", "no image of the solution", "one that was adjusted")
     body = _body(solution, naming)
@@ -198,7 +203,7 @@ def _exported(solution: Solution, naming: SpiceNaming) -> _Export:
     ]  # a line more than stated: times are rounded
     paths = united_paths(carriers, nodes, network.pass_of.tolist(), naming.images)
     clock = naming.clock or MissionClock(CLOCK, ())
-    comments = _comments(solution, body, paths, nodes)
+    comments = _comments(solution, body, paths, nodes, origin)
     return _Export(body, paths, nodes, clock.spacecraft, clock.kernels, bool(naming.images), comments)
 
 
@@ -228,33 +233,38 @@ def _carriers(solution: Solution, naming: SpiceNaming, measured: Reprojection) -
     return carriers
 
 
-def _comments(
-    solution: Solution, body: Body, paths: Paths, nodes: Sequence[AdjustedNodes]
-) -> tuple[str, ...]:
+def _comments(solution: Solution, body: Body, paths: Paths, nodes: Sequence[AdjustedNodes], origin: str) -> list[str]:
     """Origin of the files, and facts about all of them; printable ASCII."""
     versions = ", ".join(f"{name} {version}" for name, version in solution.versions.items())
     state = "converged" if solution.converged else "NOT converged"
     lines = [
         f"Orientation adjusted by {PROGRAM} ({versions}).",
+        *([origin] if origin else []),
         f"Solution {solution.name!r}: {state}, sigma0 {solution.sigma0:.6g}, "
         f"{solution.fit.degrees_of_freedom} degrees of freedom.",
         f"Frame {body.frame}: body-fixed, as adjusted. Positions are geometric (no light time, no aberration).",
-        "Time biases of the mission's kernels are in positions and attitudes already and must NOT be added again",
-        "(MOC: attitude bias of -1.15 s). Camera +Z is out of the lens; camera constants: adjusted.ti.",
+        "Time biases of the mission's kernels are in positions and attitudes already and must NOT be added again.",
+        "Camera +Z is out of the lens; camera constants: adjusted.ti.",
+        "Sigmas: means over the image, for sigma0 = 1, along body-fixed axes and about the camera's axes x, y, z.",
         *_words_of_passes(solution, paths),
         "",
     ]
-    for carrier, part in zip(paths.carriers, nodes, strict=True):
+    for j, (carrier, part) in enumerate(zip(paths.carriers, nodes, strict=True)):
         start, stop = part.epoch + part.times[[0, -1]]
+        sigmas, image = orientation_statistics(solution, j).mean_sigma, carrier.image
+        biased = image.mission == "MGS" and not resection_remedy([image])  # without kernels there is no bias of theirs
+        position, pointing = (" ".join(map(two, each)) for each in (sigmas[:3].tolist(), sigmas[6:] / ARCSEC))
         lines += [
-            f"Image {carrier.image.name}: spacecraft {carrier.spacecraft}, camera {carrier.camera} ({carrier.frame}),",
-            f"  lines {carrier.covered[0]:.1f} .. {carrier.covered[1]:.1f} of 0 .. {carrier.image.lines}, "
+            f"Image {image.name}: spacecraft {carrier.spacecraft}, camera {carrier.camera} ({carrier.frame}),",
+            f"  lines {carrier.covered[0]:.1f} .. {carrier.covered[1]:.1f} of 0 .. {image.lines}, "
             f"{start:.6f} .. {stop:.6f} s TDB past J2000,",
             f"  {part.times.size} nodes; interpolation between them is off by {part.error:.1e} px at most "
             f"(limit {TOLERANCE:g} px).",
+            f"  Sigmas of position {position} m, of pointing {pointing} arcsec.",
+            *["  MOC's attitude bias is in this attitude, once (-1.15 s unless the case states another)."] * biased,
         ]
     plain = [line if line.isascii() and line.isprintable() else ascii(line)[1:-1] for line in lines]
-    return tuple(part for line in plain for part in (wrap(line, _WIDTH, subsequent_indent="  ") or [""]))
+    return [part for line in plain for part in (wrap(line, _WIDTH, subsequent_indent="  ") or [""])]
 
 
 def _words_of_passes(solution: Solution, paths: Paths) -> list[str]:
@@ -295,8 +305,9 @@ def _opened(name: str, export: _Export) -> Iterator[int]:
     """Handle of a new SPK (.bsp) or CK (.bc) with its comments."""
     Path(name).unlink(missing_ok=True)
     positions = name.endswith(".bsp")
+    room = sum(len(line) + 1 for line in export.comments)  # made later, SPICE leaves in it what was in memory
     with spice_words(name, _REMEDY):
-        handle = (spiceypy.spkopn if positions else spiceypy.ckopn)(name, f"ADJUSTED BY {PROGRAM.upper()}", 0)
+        handle = (spiceypy.spkopn if positions else spiceypy.ckopn)(name, f"ADJUSTED BY {PROGRAM.upper()}", room)
         try:
             spiceypy.dafac(handle, [line or " " for line in export.comments])
             yield handle

@@ -255,6 +255,7 @@ _MEANT = {
     **dict.fromkeys(("lat", "latitude"), "latitude_deg"), **dict.fromkeys(("lon", "longitude"), "longitude_deg"),
     **dict.fromkeys(("height", "elevation", "h"), "height_m"), "radius": "radius_m", "z": "z_m",
     **dict.fromkeys(("point_type", "pointtype", "kind"), "type"), "measuretype": "measure_type",
+    "sigma_east_m": "sigma_longitude_m", "sigma_north_m": "sigma_latitude_m", "sigma_up_m": "sigma_radius_m",
     "line_sigma": "sigma_line_px", "sample_sigma": "sigma_sample_px", "sigma_px": "sigma_line_px",
 }  # fmt: skip
 """Other programs' names."""

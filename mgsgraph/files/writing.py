@@ -4,6 +4,7 @@ Among them records of what the program has written, as JSON that ends with its c
 and pages for a browser: one HTML file each, with no outside address, all with the head of `templates/page.html`.
 """
 
+import getpass
 import json
 import os
 import re
@@ -39,6 +40,14 @@ def begins(what: str, pattern: str) -> Output:
     """A kind of file that is known by how its text begins, in a line of its first bytes."""
     regex = re.compile(pattern, re.IGNORECASE)
     return Output(what, lambda path: regex.match(head_of(path, _HEAD).decode("utf-8-sig", "replace")) is not None)
+
+
+def account() -> str:
+    """Name of the user's account, or its number."""
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):
+        return str(os.getuid())
 
 
 # --- writing

@@ -54,7 +54,18 @@ def require_plausible(image: PushbroomImage, where: str) -> None:
         raise InputError(where, "a middle that looks past the body", "one that sees the ellipsoid", remedy)
 
 
-def require_on_ground(points: Array, angles: Array, body: Ellipsoid, where: str) -> None:
+START = "resected: "
+"""How the remark begins of an image that starts by a case's `resection`."""
+
+
+def resection_remedy(images: Sequence[PushbroomImage]) -> str:
+    """What to check first where some of the images start by a resection; empty without any."""
+    names = [image.name for image in images if any(remark.startswith(START) for remark in image.remarks)]
+    keys = "longitude_deg, latitude_deg, altitude_km, emission_deg, north_azimuth_deg"
+    return f"check resection in [[images]] of {', '.join(names[:4])} first ({keys})" if names else ""
+
+
+def require_on_ground(points: Array, angles: Array, body: Ellipsoid, where: str, remedy: str = "") -> None:
     """Raise InputError, naming `where`, where most rays meet far from the ellipsoid, which then is another body's.
 
     Parameters
@@ -65,8 +76,8 @@ def require_on_ground(points: Array, angles: Array, body: Ellipsoid, where: str)
         rad, largest between the rays of each; NaN where they don't meet.
     body : Ellipsoid
         Of the images.
-    where : str
-        What has them.
+    where, remedy : str
+        What has them, and what to do.
     """
     met = (angles > _CONVERGENT) & np.isfinite(points).all(axis=1)
     if np.count_nonzero(met) < _FEW or body.polar < _FLATTEST * body.equatorial:  # a plane, to which no radius belongs
@@ -76,7 +87,7 @@ def require_on_ground(points: Array, angles: Array, body: Ellipsoid, where: str)
         raise InputError(
             where, f"rays that meet {np.median(measured) / KM:.6g} km from the body's centre, half of them at least",
             f"points near its surface, {np.median(ground) / KM:.6g} km from there",
-            "check the radii in the images' files, and that the ties are of these images",
+            remedy or "check the radii in the images' files, and that the ties are of these images",
         )  # fmt: skip
 
 

@@ -247,7 +247,8 @@ def compile_sweep() -> None:
     owns = rows, none_of(Groups), none_of(NormalBlocks), Model(0, 0, 0, 0.0), np.zeros(0)
     results = np.zeros((0, 3)), np.zeros(0, dtype=np.int8), *(np.zeros(0) for _ in range(3)), np.zeros((0, 0, 0))
     kernel: Any = sweep
-    kernel.compile(tuple(typeof(one) for one in (*owns, COSTS, PLAIN_TOLERANCE, np.int64(0), np.int64(0), scratch, *results)))
+    given = *owns, COSTS, PLAIN_TOLERANCE, np.int64(0), np.int64(0), scratch, *results
+    kernel.compile(tuple(typeof(one) for one in given))
 
 
 def even_parts(rows: Rows, parts: int) -> Index:

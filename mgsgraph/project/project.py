@@ -1,9 +1,7 @@
 """A project: a folder with an SQLite file (one transaction for each change) and the products of solutions."""
 
-import getpass
 import importlib.metadata
 import json
-import os
 import re
 import shutil
 import sqlite3
@@ -20,7 +18,7 @@ from mgsgraph.atomic_write import made_beside, put_in_place, resolved
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.files.opening import understood
 from mgsgraph.files.output.folders import PROJECT
-from mgsgraph.files.writing import writing_to
+from mgsgraph.files.writing import account, writing_to
 from mgsgraph.geometry.image import LineTiming
 from mgsgraph.geometry.plausibility import ImageTimes
 from mgsgraph.names import image_names
@@ -278,7 +276,7 @@ class Project(Record):
         undoes: int | None = None,
     ) -> int:  # fmt: skip
         """Record a change, with the content that it replaced (`project.history`), if any; its number."""
-        row = (_now(), verb, what, json.dumps(summary, ensure_ascii=False), _account(), why, undoes, former)
+        row = (_now(), verb, what, json.dumps(summary, ensure_ascii=False), account(), why, undoes, former)
         columns = "at, verb, what, summary, who, why, undoes, former"
         found = self._connection.execute(f"INSERT INTO change ({columns}) VALUES (?, ?, ?, ?, ?, ?, ?, ?)", row)
         return int(found.lastrowid or 0)
@@ -488,14 +486,6 @@ def _require_free(target: Path, shown: str) -> None:
         raise InputError(shown, "exists and is a file", "a folder for the project", _ANOTHER)
     if target.is_dir() and any(target.iterdir()):
         raise InputError(shown, "exists and is not empty", "an absent or empty folder", _ANOTHER)
-
-
-def _account() -> str:
-    """Name of the user's account, or its number."""
-    try:
-        return getpass.getuser()
-    except (KeyError, OSError):
-        return str(os.getuid())
 
 
 def _now() -> str:

@@ -28,7 +28,8 @@ _EXTENSIONS = {
 _EARLIEST = datetime(1972, 1, 1, tzinfo=UTC)
 """Start of UTC."""
 BANDS = ("height", "sigma", "sigma by matching", "sigma by orientation", "number of points")
-"""Bands of dem.tif, in m; the last one is a count."""
+ORTHO_BANDS = ("sigma east", "sigma north", "correlation of east and north")
+"""Bands of dem.tif and ortho_sigma.tif, in m; the last one of either has no unit."""
 
 
 def stac_item(dem: Dem, ortho: MapGrid, images: Iterable[PushbroomImage], files: Sequence[str]) -> dict[str, Any]:
@@ -54,11 +55,11 @@ def stac_item(dem: Dem, ortho: MapGrid, images: Iterable[PushbroomImage], files:
     shape, targets = map_polygon(outline), _targets(body)
     spans = np.array([image.span for image in images])
     height = dem.reference
-    described = [
-        {"name": name.replace(" ", "_"), "description": f"{name} above {height}" if k == 0 else name,
-         "unit": "m" if k < len(BANDS) - 1 else "1", "data_type": "float32", "nodata": "nan"}
-        for k, name in enumerate(BANDS)
-    ]  # fmt: skip
+    described, of_ortho = (
+        [{"name": name.replace(" ", "_"), "description": f"{name} above {height}" if name == BANDS[0] else name,
+          "unit": "m" if name != names[-1] else "1", "data_type": "float32", "nodata": "nan"} for name in names]
+        for names in (BANDS, ORTHO_BANDS)
+    )  # fmt: skip
     assets: dict[str, dict[str, Any]] = {
         "dem": {
             "href": "./dem.tif", "type": MEDIA_TYPE, "title": f"Heights above {height}, sigmas and counts",
@@ -68,6 +69,10 @@ def stac_item(dem: Dem, ortho: MapGrid, images: Iterable[PushbroomImage], files:
             "href": "./ortho.tif", "type": MEDIA_TYPE, "title": f"Ortho image of {dem.images[dem.ortho]}",
             "roles": ["data", "visual"], "gsd": ortho.post, **_raster_position(ortho),
             "bands": [{"name": dem.images[dem.ortho], "data_type": "uint8", "nodata": 0}],
+        },
+        "ortho_sigma": {
+            "href": "./ortho_sigma.tif", "type": MEDIA_TYPE, "title": "Sigmas of positions in the ortho image",
+            "roles": ["data", "uncertainty"], "gsd": grid.post, "bands": of_ortho, **_raster_position(grid),
         },
         "record": {
             "href": f"./{DEM}", "type": "application/json", "title": "Settings, figures and sentences",

@@ -117,7 +117,9 @@ def prior_statements(priors: Iterable[tuple[PushbroomImage, OrientationPrior]], 
 
 def _expected_precision(network: Network, prediction: Prediction) -> Iterator[str]:
     """How well each class of points will be known, and its nominal residuals."""
-    for point_class, points in network.of_class():
+    checkpoints = network.points.checkpoints
+    of_class = [(f"{each.name.lower()} points", np.setdiff1d(all_, checkpoints)) for each, all_ in network.of_class()]
+    for name, points in [*of_class, ("checkpoints", checkpoints)]:
         determined = points[np.all(np.isfinite(prediction.covariances[points]), axis=(1, 2))]
         if not determined.size:
             continue
@@ -126,7 +128,7 @@ def _expected_precision(network: Network, prediction: Prediction) -> Iterator[st
         finite = residuals[np.all(np.isfinite(residuals), axis=1)]
         fit = ", before adjustment: residuals {} x {} px (rms)".format(*map(two, root_mean_square(finite, 0).tolist()))
         yield (
-            f"{points.size} {point_class.name.lower()} points{fit if finite.size else ''}. Expected median sigma: "
+            f"{points.size} {name}{fit if finite.size else ''}. Expected median sigma: "
             f"{length(float(np.hypot(*sigmas[:2])))} horizontal, {length(float(sigmas[2]))} vertical."
         )
 

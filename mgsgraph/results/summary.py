@@ -8,7 +8,8 @@ import numpy as np
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.geometry_checks import convergence
 from mgsgraph.analysis.statistics import local_sigmas, range_statistics, ray_statistics
-from mgsgraph.analysis.verdict import verdict
+from mgsgraph.analysis.verdict import State, verdict
+from mgsgraph.geometry.plausibility import resection_remedy
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network, PointClass
 from mgsgraph.results.ground import checkpoint_sections, laser_section, omission_sentences
@@ -31,7 +32,9 @@ _MOST_POINTS = 20_000
 def summary(solution: Solution) -> list[str]:
     """Lines for the terminal."""
     assessment = verdict(solution)
-    sentences = [*reason_sentences(assessment.reasons), *_point_sentences(solution), *_fit_sentences(solution),
+    start = resection_remedy(solution.network.images) if assessment.state is not State.VALID else ""
+    sentences = [*([f"Not valid: {start}."] if start else []), *reason_sentences(assessment.reasons),
+                 *_point_sentences(solution), *_fit_sentences(solution),
                  *(sentence for section in checkpoint_sections(solution) for sentence in section.sentences[:1]),
                  *omission_sentences(solution)]
     if solution.linearity is not None and not solution.linearity.linear:
@@ -66,7 +69,7 @@ def _fit_sentences(solution: Solution) -> Iterator[str]:
 def _point_sentences(solution: Solution) -> Iterator[str]:
     """Median sigmas of each class of points, horizontal and vertical, and how far it moved."""
     for point_class, indices in solution.network.of_class():
-        known = indices[solution.determined[indices]]
+        known = np.setdiff1d(indices[solution.determined[indices]], solution.network.points.checkpoints)
         if not known.size:
             continue
         sigmas = np.median(local_sigmas(solution.covariances[known], solution.places[known]), axis=0)

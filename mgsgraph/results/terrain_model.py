@@ -27,7 +27,7 @@ from mgsgraph.registration.dem.ortho import (
     expected_ground,
     ortho_tiles,
 )
-from mgsgraph.results.catalog import BANDS, stac_item
+from mgsgraph.results.catalog import BANDS, ORTHO_BANDS, stac_item
 from mgsgraph.results.section import Section, record_of, table_of
 from mgsgraph.text import some
 from mgsgraph.units import DEG, KM
@@ -57,7 +57,7 @@ def make_dem(
     case : path
         Case file, for the pixels, the ground beforehand, and the laser profiles.
     out : path
-        Folder with dem.tif, ortho.tif, dem.json, shots.csv and the figure; written atomically.
+        Folder with dem.tif, ortho.tif, ortho_sigma.tif, dem.json, shots.csv and the figure; written atomically.
     settings : DemSettings, optional
         Choices.
     workers : int, optional
@@ -103,6 +103,7 @@ def write_dem(dem: Dem, scene: Scene, settings: DemSettings, folder: Path, figur
     progress("ortho image", 0, 1)
     tags = {"case": dem.name, "images": some(dem.images, len(dem.images), 20), "sigmas": "for sigma0 = 1"}
     write_model(dem.model, dem.heights, dem.reference, tags, folder / "dem.tif")
+    write_ortho_accuracy(dem, folder / "ortho_sigma.tif")
     write_ortho(scene.pictures[dem.ortho], dem.model, scene.ground, grid, folder / "ortho.tif", progress)
     shots_table(dem).write_csv(folder / "shots.csv")
     write_json(folder / DEM, _record(dem, settings, grid.post))
@@ -234,6 +235,14 @@ def write_ortho(
         file.set_band_description(1, picture.image.name)
         for row, column, grey in ortho_tiles(picture, model, ground, grid, progress):
             file.write(grey, 1, window=Window(column, row, grey.shape[1], grey.shape[0]))
+
+
+def write_ortho_accuracy(dem: Dem, path: Path) -> None:
+    """Write ortho_sigma.tif: sigmas of positions in the ortho image, on the posts of the terrain model."""
+    with _map_geotiff(dem.model.map, path, len(ORTHO_BANDS), dtype="float32", nodata=np.nan) as file:
+        file.update_tags(program=PROGRAM, image=dem.images[dem.ortho], sigmas="for sigma0 = 1")
+        file.descriptions, file.units = ORTHO_BANDS, ("m", "m", "1")
+        file.write(dem.ortho_accuracy.astype(np.float32))
 
 
 def _map_geotiff(grid: MapGrid, path: Path, bands: int, **kind: Any) -> AbstractContextManager[Any]:

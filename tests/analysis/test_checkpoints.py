@@ -22,6 +22,7 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.analysis.checkpoints import checkpoint_discrepancies as discrepancies
 from mgsgraph.analysis.checkpoints import leave_out
 from mgsgraph.analysis.linearised import at_solution
+from mgsgraph.analysis.sanity import Kind, losses
 from mgsgraph.analysis.verdict import Cause, State
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.table import table_text
@@ -129,6 +130,7 @@ def test_what_has_no_discrepancy_is_named() -> None:
         solution = adjust_network(replace(net, rays=net.rays.chosen(keep)))
         np.testing.assert_array_equal(discrepancies(solution).undetermined, CHECKS[:unseen])
         assert f"the position of {unseen} points, without" in checkpoint_sections(solution)[0].sentences[1]
+        assert not [loss for loss in losses(solution) if loss.kind == Kind.CONTROL]
     mixed = with_points(controlled(), np.arange(6, 8), PointKind.FIXED, controlled().points.places)
     assert "Fixed points can't be" in leave_out_section(at_solution(adjust_network(mixed))).sentences[-1]
     with pytest.raises(InputError, match="no point with known coordinates that takes part"):
@@ -157,6 +159,7 @@ def test_adjust_and_analyze_print_and_write_them(known_case: Path) -> None:
     result, analysis = known_case.with_name("R"), known_case.with_name("A")
     adjusted = run("adjust", known_case, "--out", result, "--no-figures")
     assert "- Checkpoints (4): adjusted minus known has rms " in adjusted.stdout, adjusted.stderr
+    assert "- Control points" not in adjusted.stdout  # the other five are tie points
     assert len(adjusted.stdout.splitlines()) <= 15
     record, rows = read_record(result / "solution.json")["checkpoints"], rows_of(result / "checkpoints.csv")
     assert [row["point"] for row in rows] == ["TIE00001", "TIE00003", "TIE00005", "TIE00007"]

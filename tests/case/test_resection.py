@@ -165,6 +165,7 @@ TIES = "id,image,line,sample\n" + "".join(
 FAULTS = {
     "no place": ('"A"', '"B"', r"images\[1\], resection: no tie point that B and"),
     "half a place": ("{}", "{latitude_deg = 12.0}", "expected both, or neither"),
+    "far away": ("{}", "{longitude_deg = 268.0, latitude_deg = 12.0}", r"check resection in \[\[images\]\] of A first"),
     "unknown image": ("{}", '{like = "B"}', r"resection, like: 'B'; expected an image with an orbit: KNOWN"),
     "kernels, too": ("{}", '{}, kernels = ["a.bsp"]', "kernels beside it"),
     "held": ("{}", "{}, held = true", "held = true beside it"),

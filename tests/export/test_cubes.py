@@ -1,5 +1,6 @@
 """Cubes written back, read by our reader (inside `write_cubes`) and by a few lines that know ISIS's layout."""
 
+import json
 import os
 import re
 import signal
@@ -201,7 +202,9 @@ def test_a_small_cube(tmp_path: Path, order: str) -> None:
     again, second = copied(copy, tmp_path / "again")  # a copy is a cube: its positions are geometric, its marks are one
     assert off(second, again) < LARGEST
     assert label_of(second).count("# Jigged") == 2
-    assert second.read_bytes().count(b"Object = mgsgraph\n  ExecutionDateTime = 2026-11-30T07:00:00\n") == 3
+    entries = second.read_bytes().split(b"Object = mgsgraph\n  ExecutionDateTime = 2026-11-30T07:00:00\n")[1:]
+    assert [entry.split()[:6:3] for entry in entries] == [[b"HostName", b"UserName"]] * 2
+    assert 100 < second.stat().st_size - copy.stat().st_size < 400  # an entry of the history more
     assert [len(rows_of(second)[name]) for name in WANTED] == [len(rows_of(copy)[name]) for name in WANTED]
 
 
@@ -352,6 +355,13 @@ def test_the_command_updates_the_cubes_of_the_case(shared_data: Path, tmp_path: 
         assert (out / "cube1.isd").read_bytes() == (tmp_path / "cube1.isd").read_bytes()
     first, second = (read_solution(tmp_path / result) for result in ("first", "second"))
     assert [np.abs(part.correction(0).coefficients[0, 3:]).max() > 1e-6 for part in (first, second)] == [True, False]
+    cube, again = tmp_path / "cube1.isd", ("export", tmp_path / "second", "--to", "cubes", "--out", out, "--update")
+    assert call(*again) == 0  # an adjusted cube, as a killed update leaves some
+    content, moved = cube.read_text(), read_json(cube)
+    moved["instrument_position"]["positions"] = (np.array(moved["instrument_position"]["positions"]) + 1.0).tolist()
+    cube.write_text(json.dumps(moved))
+    assert "a cube that changed since it was adjusted; expected as it was" in refusal(*again)
+    cube.write_text(content)
     project = tmp_path / "project"
     assert call("project", "init", project, "--case", tmp_path / "case.toml") == 0
     assert call("project", "solve", project, "--no-figures") == 0

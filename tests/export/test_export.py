@@ -6,6 +6,7 @@ import json
 import struct
 from dataclasses import replace
 from pathlib import Path
+from platform import node
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from mgsgraph.export.csm import write_csm
 from mgsgraph.export.solution_export import ExportSettings, export_solution
 from mgsgraph.files.networks.asp_text import read_ground_control
 from mgsgraph.files.networks.tie_points import PointKind
+from mgsgraph.files.writing import account
 from mgsgraph.network import PointClass
 from mgsgraph.results.results import write_results
 from mgsgraph.text import many
@@ -64,6 +66,8 @@ def test_kernels_are_verified_where_asked(solution: Path, tmp_path: Path) -> Non
     assert done.measures > 50
     assert done.largest < FINE
     assert "read back by SPICE alone" in done.sentence
+    words = " ".join((tmp_path / "out" / "adjusted.tm").read_text().split())
+    assert f"Made by {account()} on {node()} from {solution} (adjusted 20" in words
     noted = json.loads((tmp_path / "out" / "export.json").read_text())
     assert (noted["measures"], noted["largest_difference_px"]) == (done.measures, done.largest)
 

@@ -1,6 +1,7 @@
 """Exported SPICE kernels say the solution again, to SPICE alone, and a fault in any of them is seen."""
 
 import json
+import re
 from collections.abc import Callable, Iterator
 from contextlib import chdir, contextmanager
 from dataclasses import replace
@@ -13,7 +14,7 @@ import spiceypy
 from pass_files import write_block
 from spiceypy.utils.exceptions import SpiceyError
 
-from mgsgraph.adjustment.solution import Solution
+from mgsgraph.adjustment.solution import Solution, orientation_profiles
 from mgsgraph.case.reading import adjust, read_case
 from mgsgraph.errors import InputError
 from mgsgraph.export import spice
@@ -25,6 +26,7 @@ from mgsgraph.geometry.camera import Distortion, LrocNacDistortion, RadialDistor
 from mgsgraph.geometry.image import LineTiming, PushbroomImage, fit_polynomials
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.simulation.case_files import image_file
+from mgsgraph.units import ARCSEC
 
 LRO = Path(__file__).resolve().parents[2] / "scripts" / "cases" / "lro_nac_lola.toml"
 AIM = 0.01
@@ -248,6 +250,33 @@ def test_spice_knows_the_field_of_view(solution: Solution, tmp_path: Path) -> No
             assert spiceypy.vsep(corners[0], corners[1]) == pytest.approx(
                 image.pixel_angle / image.interior.sample_summing, rel=0.01
             )
+
+
+def test_binary_kernels_say_what_they_are(solution: Solution, tmp_path: Path) -> None:
+    """Comments: who made them of what, and how well; coverage, ids and frame, as spiceypy reads them."""
+    resected = {"SIM/A": ("resected: by ties",)}
+    moc = with_images(solution, lambda one: replace(one, mission="MGS", remarks=resected.get(one.name, ())))
+    write_spice(moc, tmp_path, origin="Made by me.")
+    words, profile = list[str](), orientation_profiles(solution)
+    for name in ("adjusted.bsp", "adjusted.bc", "body.bc"):
+        handle = spiceypy.dafopr(str(tmp_path / name))
+        words.append("\n".join(spiceypy.dafec(handle, 1000, 200)[1]))
+        spiceypy.dafcls(handle)
+    assert (len(set(words)), "\nMade by me.\n" in words[0], words[0].count("-1.15")) == (1, True, 1)
+    found = re.findall(r"Sigmas of position (.*) m, of pointing (.*) arcsec", words[0])
+    stated = np.array([[part.replace(",", "").split() for part in row] for row in found], dtype=float)
+    for j, sigmas in enumerate((profile.position_sigma, profile.rotation_sigma / ARCSEC)):
+        np.testing.assert_allclose(stated[:, j], sigmas.reshape(2, -1, 3).mean(axis=1), rtol=0.06)
+    with loaded(tmp_path):
+        codes = list(spiceypy.spkobj("adjusted.bsp"))
+        assert (codes, list(spiceypy.ckobj("adjusted.bc"))) == ([-900_002, -900_001], [-900_002_000, -900_001_000])
+        for image, code in zip(moc.network.images, reversed(codes), strict=True):
+            start, stop = image.timing.at(np.array([-10.0, image.lines + 10.0]))[0] + image.trajectory.epoch
+            ck = spiceypy.ckcov("adjusted.bc", 1000 * code, True, "SEGMENT", 0.0, "TDB")
+            for window in (spiceypy.spkcov("adjusted.bsp", code), ck):
+                np.testing.assert_allclose(list(window), [start, stop], atol=0.03 * (stop - start))
+            descriptor = spiceypy.spksfs(code, 0.5 * (start + stop), 40)[1]
+            assert spiceypy.spkuds(descriptor)[:4] == (code, 499, spiceypy.namfrm("MGSGRAPH_MARS_FIXED"), 13)
 
 
 # --- planted faults

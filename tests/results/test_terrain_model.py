@@ -32,7 +32,7 @@ from mgsgraph.results.catalog import stac_item
 from mgsgraph.results.terrain_model import make_dem, write_dem
 
 SETTINGS = DemSettings(ortho_pixel=12.0)
-FILES = {"dem.json", "dem.tif", "ortho.tif", "shots.csv", "dem.stac.json", "dem.png"}
+FILES = {"dem.json", "dem.tif", "ortho.tif", "ortho_sigma.tif", "shots.csv", "dem.stac.json", "dem.png"}
 
 
 @cache
@@ -98,7 +98,7 @@ def test_a_reader_finds_each_height_by_longitude_and_latitude(folder: Path) -> N
     assert np.nanmedian(sigmas) < 1.5
 
 
-@pytest.mark.parametrize("name", ["dem.tif", "ortho.tif"])
+@pytest.mark.parametrize("name", ["dem.tif", "ortho.tif", "ortho_sigma.tif"])
 def test_rasters_are_cloud_optimized(folder: Path, name: str) -> None:
     cogeo = pytest.importorskip("rio_cogeo.cogeo", reason="rio-cogeo (of the extra [test]) is not installed")
     assert cogeo.cog_validate(folder / name, strict=True, quiet=True) == (True, [], [])
@@ -124,8 +124,12 @@ def test_the_ortho_image_shows_the_ground_where_it_is(folder: Path) -> None:
     smooth = np.abs((places[:, 1] // 4 + places[:, 0] // 16) % 254 - 127) < 110  # not where the ramp jumps back
     expected = (bare[tuple(places[smooth].astype(int).T)] - low) * 255.0 / (high - low)
     assert np.median(np.abs(grey[rows, columns][some][smooth] - expected)) < 2.0
-    there = np.isfinite(made().heights).mean()
-    assert np.mean(grey > 0) == pytest.approx(there, abs=0.02)
+    there = np.isfinite(made().heights)
+    assert np.mean(grey > 0) == pytest.approx(there.mean(), abs=0.02)
+    with rasterio.open(folder / "ortho_sigma.tif") as file:
+        np.testing.assert_array_equal(np.isfinite(file.read()), [there] * 3)
+        np.testing.assert_allclose(file.read(2)[there], made().ortho_accuracy[1][there], rtol=1e-6)
+        assert (file.units, file.descriptions[:2]) == (("m", "m", "1"), ("sigma east", "sigma north"))
 
 
 def test_pairs_that_share_an_image_are_no_independent_evidence() -> None:
@@ -280,13 +284,13 @@ def test_pystac_takes_the_item(folder: Path) -> None:
     with pytest.raises(pystac.errors.STACValidationError):
         validate(core | {"bbox": [0.0]})
     item = pystac.Item.from_file(folder / STAC_ITEM)
-    assert {"dem", "ortho", "record", "overview"} == set(item.assets)
+    assert {"dem", "ortho", "ortho_sigma", "record", "overview"} == set(item.assets)
     assert all((folder / asset.href).is_file() for asset in item.assets.values())
     assert item.properties["ssys:targets"] == ["Mars"]
     assert item.common_metadata.start_datetime < item.common_metadata.end_datetime
 
 
-@pytest.mark.parametrize("name", ["dem", "ortho"])
+@pytest.mark.parametrize("name", ["dem", "ortho", "ortho_sigma"])
 def test_the_item_says_of_the_rasters_what_they_are(folder: Path, name: str) -> None:
     told = json.loads((folder / STAC_ITEM).read_text(encoding="utf-8"))
     asset = told["assets"][name]

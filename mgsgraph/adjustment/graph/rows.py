@@ -22,7 +22,7 @@ from mgsgraph.adjustment.graph.stereo import StereoRows
 from mgsgraph.adjustment.graph.variables import Variables
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.tie_points import PointKind
-from mgsgraph.geometry.plausibility import require_on_ground
+from mgsgraph.geometry.plausibility import require_on_ground, resection_remedy
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.rows import (
     FIXED,
@@ -373,7 +373,8 @@ def _starting_points(network: Network, crossing: Crossing | None) -> tuple[Array
     """
     assert crossing is not None
     free, starts, angles = crossing
-    require_on_ground(starts[free], angles[free], network.images[0].body, "images and their ties")
+    where, remedy = "images and their ties", resection_remedy(network.images)
+    require_on_ground(starts[free], angles[free], network.images[0].body, where, remedy)
     unknown = ~np.all(np.isfinite(starts), axis=1)
     _start_on_the_ground(network, np.flatnonzero(free & unknown), starts)
     starts[unknown & ~free] = 0.0

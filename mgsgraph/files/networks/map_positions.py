@@ -74,6 +74,9 @@ class ControlMap:
         read = table.chosen(rows)
         values = np.column_stack([measured(read.values[name], read.where) for name in positions])
         _require(np.all(np.isfinite(values), axis=1), read, "half a position", f"both {' and '.join(positions)}")
+        ids, first = read.values.get("id", read.values[positions[0]]), dict[str, list[float]]()  # none: refused later
+        same = [first.setdefault(ids[k].as_py(), row) == row for k, row in enumerate(values.tolist())]
+        _require(np.array(same), read, f"{' and '.join(positions)} other than in an earlier row", "one position")
         points, covariances = self._ground(positions, values, read)
         numbers = np.hstack([points, covariances[:, *np.triu_indices(3)]])
         texts = np.full((table.numbers.size, 1 + numbers.shape[1]), "", dtype=object)

@@ -56,7 +56,7 @@ TABLES = (
     "outliers.csv", "likelihood.csv", "sigmas.tif",
     NODES, "spacings.csv", "course.csv", "spectra.csv",  # the last two of versions up to 0.2
     EXPORT, MATCH, "matches.csv", "network.pvl", "network.net",
-    DEM, "dem.tif", "ortho.tif", "shots.csv", STAC_ITEM,
+    DEM, "dem.tif", "ortho.tif", "ortho_sigma.tif", "shots.csv", STAC_ITEM,
     COMPARISON, "merit_compared.csv", "sigmas_compared.csv", "settings_compared.csv", "input_compared.csv",
     "images_compared.csv", "points_compared.csv",
     COREGISTRATION, "profiles.csv", "costs.csv", "disagreement.csv",

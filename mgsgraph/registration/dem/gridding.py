@@ -108,7 +108,7 @@ def intersected(posterior: Posterior, scene: Scene, matches: Sequence["DenseMatc
         _of_pair(posterior, scene, matched, k, slice(begin, begin + _AT_ONCE), nodes)
         for k, matched in enumerate(matches)
         if len(matched.anchors)
-        for nodes in [_orientation_nodes(posterior, scene, matched)]
+        for nodes in [orientation_nodes(posterior, scene, matched)]
         for begin in range(0, len(matched.anchors), _AT_ONCE)
     ]
     joined = [np.concatenate(part) for part in zip(*parts, strict=True)]
@@ -122,7 +122,7 @@ def intersected(posterior: Posterior, scene: Scene, matches: Sequence["DenseMatc
 
 
 def _of_pair(
-    posterior: Posterior, scene: Scene, matched: "DenseMatches", number: int, some: slice, nodes: "_Nodes"
+    posterior: Posterior, scene: Scene, matched: "DenseMatches", number: int, some: slice, nodes: "OrientationNodes"
 ) -> tuple[Array, Array, Array, Index, Array, Array]:
     """The record's arrays for some matches of a pair."""
     first, second = (scene.pictures[j] for j in (matched.first, matched.second))
@@ -159,7 +159,7 @@ def _crossed(first: Picture, second: Picture, anchors: Array, pixels: Array) -> 
     return _Crossed(point, along, by_pixel, misses, miss_by_pixel, good)
 
 
-class _Nodes(NamedTuple):
+class OrientationNodes(NamedTuple):
     """The orientation's covariance of points at nodes of the first image."""
 
     lines: Array
@@ -176,7 +176,7 @@ class _Nodes(NamedTuple):
         return between_nodes(self.covariances, at)
 
 
-def _orientation_nodes(posterior: Posterior, scene: Scene, matched: "DenseMatches") -> _Nodes:
+def orientation_nodes(posterior: Posterior, scene: Scene, matched: "DenseMatches") -> OrientationNodes:
     """Over the part of the first image that is matched."""
     first, second = (scene.pictures[j] for j in (matched.first, matched.second))
     low, high = matched.anchors.min(axis=0) - 1.0, matched.anchors.max(axis=0) + 1.0
@@ -196,7 +196,7 @@ def _orientation_nodes(posterior: Posterior, scene: Scene, matched: "DenseMatche
     if not np.all(np.isfinite(covariances)):
         names = f"images {first.image.name} and {second.image.name}"
         raise InputError(names, "rays that don't meet as they were adjusted", "images of common ground")
-    return _Nodes(lines, samples, covariances)
+    return OrientationNodes(lines, samples, covariances)
 
 
 def _pixel_sizes(picture: Picture, ground: Ground, pixels: Array) -> Array:

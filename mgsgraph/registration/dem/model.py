@@ -16,6 +16,7 @@ from mgsgraph.matching.scene import Scene
 from mgsgraph.record import Record
 from mgsgraph.registration.dem.checking import CheckProfile, HeightChecks, checked
 from mgsgraph.registration.dem.gridding import HeightGrid, MapGrid, gridded, intersected
+from mgsgraph.registration.dem.ortho import ortho_accuracy
 from mgsgraph.text import root_mean_square
 from mgsgraph.units import KM
 from mgsgraph.workers import Progress, no_progress
@@ -97,6 +98,8 @@ class Dem(Record):
     """Names of the scene's pictures."""
     ortho: int
     """Picture of the ortho image."""
+    ortho_accuracy: Array
+    """(3, rows, columns) of its ground at the posts: sigma east and north in m, and their correlation."""
     model: HeightGrid
     """Heights above the sphere, and sigmas."""
     heights: Array
@@ -152,11 +155,11 @@ def dem_of(
         )
         for k, pair in enumerate(matches)
     )  # fmt: skip
-    ortho = max(matches, key=lambda pair: len(pair.anchors)).first
-    checks = checked(model, profiles)
+    most = max(matches, key=lambda pair: len(pair.anchors))
     return Dem(
-        name, names, ortho, model, heights, reference, pairs, spacing, window, checks, tuple(profiles)
-    )
+        name, names, most.first, ortho_accuracy(posterior, scene, most, model), model, heights, reference, pairs,
+        spacing, window, checked(model, profiles), tuple(profiles),
+    )  # fmt: skip
 
 
 def _kin(pairs: Sequence[tuple[int, int]]) -> Index:

@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.case.schema import CaseInput
 from mgsgraph.errors import InputError, errors_from
-from mgsgraph.geometry.body import geodetic
+from mgsgraph.geometry.body import east_north_up, geodetic
 from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.matching.patches import Tile, ortho_patch
 from mgsgraph.matching.scene import Ground, Picture, Scene
 from mgsgraph.names import image_names
-from mgsgraph.registration.dem.gridding import HeightGrid, MapGrid, bilinear
+from mgsgraph.registration.dem.gridding import HeightGrid, MapGrid, bilinear, orientation_nodes
 from mgsgraph.text import some
 from mgsgraph.workers import Progress, no_progress
 
@@ -100,6 +101,30 @@ def _filled(heights: Array) -> Array:
         count = finite.sum(axis=0)
         filled[holes] = np.where(count > 0, np.where(finite, near, 0.0).sum(axis=0) / np.maximum(count, 1), np.nan)
     return np.where(np.isnan(filled), np.nanmean(heights), filled)
+
+
+def ortho_accuracy(posterior: Posterior, scene: Scene, matched: "DenseMatches", model: HeightGrid) -> Array:
+    """Sigma east and north in m of positions in the ortho image, the first picture of a matched pair, and their
+    correlation: (3, rows, columns) at the model's posts, for sigma0 = 1; NaN where the model has no height.
+
+    The orientation moves rays and model together, by the covariance of the point where the rays of a match meet. An
+    error e of the height by matching moves a pixel along its ray u, by e u / (u v), v = (-slope east, -slope north, 1).
+    """
+    picture, nodes, grid = scene.pictures[matched.first], orientation_nodes(posterior, scene, matched), model.map
+    posts, slopes, heights = grid.posts(), np.nan_to_num(model.slopes).reshape(-1, 2), model.heights.ravel()
+    bands, known = np.full((3, heights.size), np.nan), np.flatnonzero(np.isfinite(heights))
+    for part in np.array_split(known, known.size // _SIDE // _REACH + 1):  # as many as find room
+        points = grid.points(posts[part], heights[part])
+        pixels = picture.project(points)
+        along = unit_vectors(picture.image.sightlines(pixels[:, 0], pixels[:, 1], picture.correction)[1])
+        normal = np.einsum("ni,nij->nj", np.column_stack([-slopes[part], np.ones(part.size)]), grid.frames(points))
+        moved = along * (model.matching.ravel()[part] / np.einsum("ni,ni->n", along, normal))[:, None]
+        level = east_north_up(points)[:, :2]
+        spread = nodes.at(np.nan_to_num(pixels)) + moved[:, :, None] * moved[:, None]
+        covariances = level @ spread @ np.swapaxes(level, 1, 2)
+        bands[:2, part] = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2)).T
+        bands[2, part] = covariances[:, 0, 1] / bands[:2, part].prod(axis=0)
+    return bands.reshape(3, grid.rows, grid.columns)
 
 
 _LEAST_SIGMA = 100.0

@@ -102,8 +102,16 @@ def test_a_case_takes_them_as_constrained_control(case_file: Path) -> None:
     terrain = f'{{ radius = "dtm.tif", reference_radius_m = {RADIUS}, vertical_sigma_m = 7.0 }}'
     table = f'\n[ground_control]\nfile = "map.csv"\northoimage = "ortho.tif"\nmap_sigma_m = 20.0\nterrain = {terrain}\n'
     case_file.write_text(case_file.read_text(encoding="utf-8") + table, encoding="utf-8")
-    net = mgsgraph.read_case(case_file).network
-    (control,) = np.flatnonzero(net.points.classes == PointClass.CONTROL)
+    table = case_file.with_name("map.csv")
+    table.write_text("\n".join([*rows, "G1,SIM/A,1000.5,300.5,87,4.2"]), encoding="utf-8")
+    with pytest.raises(InputError, match="4, point G1: longitude_deg and latitude_deg other than in an earlier"):
+        mgsgraph.read_case(case_file)
+    table.write_text("\n".join([*rows, "F1,SIM/A,1500.5,300.5,,", "F1,SIM/B,1499.5,301.5,,"]), encoding="utf-8")
+    case = mgsgraph.read_case(case_file)
+    assert [note for note in case.notes if "1 point without a position" in note]
+    net = case.network
+    control, free = np.flatnonzero(net.points.classes == PointClass.CONTROL)
+    assert net.points.kinds[free] == PointKind.FREE
     assert (net.points.kinds[control], net.ray_counts[control]) == (PointKind.CONSTRAINED, 2)
     at = np.array([87.0, 4.1]) * DEG
     expected = from_planetocentric(np.array([[*at, RADIUS + float(ground(*at))]]))[0]

@@ -10,9 +10,11 @@ from hypothesis import strategies as st
 from rasterio.warp import transform
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.body import Ellipsoid, from_planetocentric, planetocentric
+from mgsgraph.geometry.body import Ellipsoid, east_north_up, from_planetocentric, planetocentric
+from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.network import ImageRays
 from mgsgraph.registration.dem.gridding import DensePoints, HeightGrid, MapGrid, bilinear, gridded, intersected
+from mgsgraph.registration.dem.ortho import ortho_accuracy
 
 MARS = Ellipsoid(3396190.0, 3376200.0)
 RNG_SEED = 7
@@ -236,3 +238,43 @@ def test_heights_are_within_their_sigmas_of_the_truth(first: int) -> None:
     off = model.heights - dem_site.true_heights(grid)
     assert np.isfinite(off).mean() > 0.5
     assert 0.7 < rms(off / model.matching) < 1.3
+
+
+# ---- positions in the ortho image
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_positions_in_the_ortho_image_scatter_as_stated(first: int) -> None:
+    """With 400 draws of both orientations; and as rays meet a model that is a metre too high."""
+    matches, posterior, scene = dem_site.matched(None, first), dem_site.posterior(), dem_site.scene()
+    points = intersected(posterior, scene, [matches])
+    model = gridded(points, MapGrid.around(points.positions, MARS, 20.0), 20.0, 1e-3)
+    heights, some = model.heights, np.flatnonzero(np.isfinite(model.slopes).all(axis=2))[::1400]
+    ground = model.map.points(model.map.posts()[some], heights.ravel()[some])
+    level, pixels = east_north_up(ground)[:, :2], [picture.project(ground) for picture in scene.pictures]
+    by_orientation, by_height = (
+        ortho_accuracy(posterior, scene, matches, replace(model, matching=np.full_like(heights, error)))
+        .reshape(3, -1)[:, some] for error in (0.0, 1e6)
+    )  # fmt: skip
+    joint, rng, off = dem_site.solution().joint_covariance.of([0, 1]), np.random.default_rng(5), []
+    for draw in rng.multivariate_normal(np.zeros(len(joint)), joint, 400):
+        parts = np.split(draw, [dem_site.solution().coefficients[0].size])
+        (a, u), (b, v) = (
+            scene.pictures[j].image.sightlines(*pixels[j].T, OrientationCorrection(c + parts[j].reshape(c.shape)))
+            for j in (first, 1 - first) for c in [dem_site.solution().coefficients[j]]
+        )  # fmt: skip
+        t = (np.linalg.pinv(np.stack([u, -v], axis=2)) @ (b - a)[:, :, None])[:, 0]
+        off.append(np.einsum("nij,nj->ni", level, a + t * u - ground))
+    np.testing.assert_allclose(np.std(off, axis=0).T / by_orientation[:2], 1.0, atol=0.12)
+    correlation = np.mean(np.prod(off, axis=2), axis=0) / np.std(off, axis=0).prod(axis=1)
+    np.testing.assert_allclose(correlation, by_orientation[2], atol=0.12)
+    _, along = scene.pictures[first].image.sightlines(*pixels[first].T, scene.pictures[first].correction)
+    met, along = ground, along / np.linalg.norm(along, axis=1, keepdims=True)
+    for _ in range(20):
+        higher = bilinear(heights, model.map.pixels(model.map.chart.plane(met))) + 1.0 + model.map.radius
+        step = (higher - np.linalg.norm(met, axis=1)) / np.einsum("ni,ni->n", along, east_north_up(met)[:, 2])
+        met = met + step[:, None] * along
+    moved = np.abs(np.einsum("nij,nj->in", level, met - ground))
+    inside = np.isfinite(moved[0])  # not at the rim, where the ray leaves the model
+    assert (inside.sum() > 7, moved[:, inside].max() > (0.003, 0.2)[first]) == (True, True)
+    np.testing.assert_allclose(by_height[:2, inside] / 1e6, moved[:, inside], atol=0.1 * moved[:, inside].max())
