@@ -469,11 +469,11 @@ def solve_tile(rows, model, segments, count, x, points, move, everything, tolera
     """Coordinates of a tile's points of least cost with the orientation held: POINT, COST and STATUS, and rows
     there if `store_rows`.
 
-    Begins at `points` (n, 3), ends where a step is shorter than `tolerance` (sigmas); rows, FACTOR and FORWARD stay
-    those of the coordinates before the last, short step. Unless `move`, the points stay where they are, and take part all if `everything`. With a robust loss the way is
-    begun anew, at `rows.start` and with plain squares, for where such a loss is flat it leads nowhere; so earlier calls
-    don't count. Tukey's loss follows Huber's, which has one minimum: plain squares alone would put a point between a
-    blunder and its good rays, where Tukey's is flat.
+    Begins at `points` (n, 3), ends where a step is shorter than `tolerance` (sigmas); rows, FACTOR and FORWARD are of
+    the place before it. Unless `move`, the points stay where they are, and take part all if `everything`. With a robust
+    loss the way is begun anew, at `rows.start` and with plain squares, for where such a loss is flat it leads nowhere;
+    so earlier calls don't count. Tukey's loss follows Huber's, which has one minimum: plain squares alone would put a
+    point between a blunder and its good rays, where Tukey's is flat.
     """
     fixed = rows.pattern_fixed[segments[0, PATTERN]] > 0
     robust = model.loss != NO_LOSS
