@@ -92,7 +92,7 @@ def parse_image(text: str) -> ImageArgument:
 
 def read_addition(
     project: Project, images: Sequence[ImageArgument], ties: Sequence[Path], shots: Sequence[Path], of_pass: str = "",
-    shares: Sequence[str] = (),
+    shares: Sequence[str] = (), grown: bool = False,
 ) -> Addition:  # fmt: skip
     """Read all images and measurements that the user adds.
 
@@ -109,6 +109,8 @@ def read_addition(
         Pass of the project that single images, and those of case files without measurements, join.
     shares : sequence of str
         Shared unknowns of the project that the same images share.
+    grown : bool
+        Images and measurements of case files that the project has already are left out; else they are refused.
 
     Raises
     ------
@@ -121,11 +123,14 @@ def read_addition(
     contents = [_read_case_images(path) for path in case_files]
     cases = [case for _, case in contents if case is not None]
     _require_no_options(cases, of_pass, shares)
-    case_images = [image for images_, _ in contents for image in images_]
+    stored_passes, stored_names = store.definitions(), store.image_names()
+    known = stored_names if grown else ()
+    case_images = [image for images_, _ in contents for image in images_ if image.known.image.name not in known]
     decisions = project.standing_decisions()
     given = (with_definitions(store.with_known_grids(case.network), Definitions()) for case in cases)
     networks = [network for case in given if (network := decided(case, decisions)) is not None]
-    stored_passes, stored_names = store.definitions(), store.image_names()
+    if grown:
+        networks = [remaining for network in networks for remaining in _new_in_project(network, store)]
     notes = [note for case in cases for note in case.notes]
     body = next((known.image.body for known in ImagesByName(store, _known(case_images)).values()), None)
     tie_points = [read_tie_points(path, body) for path in ties]
