@@ -139,8 +139,8 @@ def _write(group: _Group, networks: Sequence[ControlNetwork], tables: CaseInput,
         for table in (value if isinstance(value, list) else [value])
         for line in toml_lines(f"[[{key}]]" if isinstance(value, list) else f"[{key}]", **table)
     ]  # fmt: skip
-    text = case_text(f"{tables.name}, {group.images[0].name}", lines)
-    write_file(path, f"{_HEAD} of {case.name}: change that one, and split it again.\n{text}")
+    text = case_text(group.images[0].name, lines)  # nothing of the other groups, whose growth would change it
+    write_file(path, f"{_HEAD}: change the case that was split, and split it again.\n{text}")
 
 
 def _stated(value: Any, source: Path, target: Path, key: str = "") -> Any:
