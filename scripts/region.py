@@ -76,8 +76,10 @@ def recipe(images: int, seed: int, batch: str) -> dict[str, list[str]]:
     run(batch, f"the {len(later)} images have come")
     grown = len(entries()) - len(times)
     draw(case, [datetime.fromisoformat(entry["finished"]).timestamp() for entry in times], before)
-    lines = [(f"`mgsgraph {line}`", note, f"{took.wall:.0f}", f"{took.processor:.0f}", f"{took.memory / 1e6:.0f}")
-             for line, note, took in rows]  # fmt: skip
+    lines = [
+        (f"`mgsgraph {line}`", note, *(f"{value:.0f}" if value == value else "" for value in figures))
+        for line, note, took in rows for figures in [(took.wall, took.processor, took.memory / 1e6)]
+    ]  # fmt: skip
     head = ("command", "", "wall (s)", "processor (s)", "memory (MB)")
     return {"commands": table(head, lines), "found": found(groups, before, grown)}
 
@@ -98,17 +100,16 @@ def entries() -> list[dict[str, object]]:
 def killed(line: str, after: int) -> tuple[str, Took]:
     """Begin a batch, kill it and its workers when so many cases are recorded; what is left, and what it took."""
     show(line)
-    begun, spent = time.perf_counter(), os.times()
+    begun = time.perf_counter()
     words = [sys.executable, "-m", "mgsgraph", *line.split()]
     running = subprocess.Popen(words, start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     while len(entries()) < after and running.poll() is None:
         time.sleep(0.2)
     os.killpg(running.pid, signal.SIGKILL)
     running.wait()
-    used = os.times().children_user - spent.children_user
     unfinished = len([path for path in Path("blocks").iterdir() if path.name.startswith(".")])
     note = f"killed (-9) with {len(entries())} groups recorded, {unfinished} half-written"
-    return note, Took(time.perf_counter() - begun, used, np.nan)
+    return note, Took(time.perf_counter() - begun, np.nan, np.nan)  # workers that were killed told nobody their times
 
 
 def found(groups: int, before: int, grown: int) -> list[str]:

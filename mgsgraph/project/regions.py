@@ -87,7 +87,10 @@ def split_case(case: Path, out: Path) -> Division:
             seen = [name for name in dict.fromkeys(m.serial_number for m in point.measures) if name in group_of]
             if len(seen) >= (2 if point.type == PointType.FREE else 1):
                 group_of[seen[0]].points[k].append(point)
-    folders = {re.sub(r"[^\w.-]", "-", group.images[0].name): group for group in found if len(group.images) > 1}
+    connected = [group for group in found if len(group.images) > 1]
+    folders = {re.sub(r"[^\w.-]", "-", group.images[0].name): group for group in connected}
+    clash = "names that differ in punctuation alone"
+    require(len(folders) == len(connected), f"{case}, images", clash, "names that can be of folders")
     earlier = [path for path in sorted(out.glob(f"*/{_CASE}")) if path.read_bytes().startswith(_HEAD.encode())]
     for folder, group in folders.items():
         path = out / folder / _CASE
