@@ -154,9 +154,11 @@ def draw(case: Path, times: list[float], before: int) -> None:
     course.step(hours, np.arange(1, len(times) + 1), where="post")
     course.axvline(hours[before - 1], color="C3", linewidth=1.0)
     course.annotate("killed", (hours[before - 1], before), (4, -10), textcoords="offset points", color="C3", fontsize=8)
-    for axes, title in ((region, f"{len(images)} images, {len(members)} groups"), (largest, "the largest group")):
+    most = len(max(members, key=len))
+    for axes, title in ((region, f"{len(images)} images, {len(members)} groups"), (largest, f"group of {most}")):
         axes.set(title=title, xlabel="longitude east (deg)", ylabel="latitude (deg)")
     largest.set_aspect(1.0 / np.cos(np.radians(largest.get_ylim()[0])))
+    largest.tick_params(axis="x", rotation=60)
     course.set(title="the batch", xlabel="s since the first group was recorded", ylabel="groups recorded")
     figure.savefig(DOCS / "pictures" / "region.png", dpi=110)
 

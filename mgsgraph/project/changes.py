@@ -211,8 +211,8 @@ def solve_project(
 def solve_case(
     case: Path, folder: Path, figures: bool, tables: "TableForm | None", device: Device | None
 ) -> "Solution":
-    """Solution of the project of a case, which is made where there is none. Images and measurements that the case has
-    and an earlier project does not are added. Each step is complete or absent: the call may be killed and repeated.
+    """Solution of the project of a case, which is made where there is none. Images that the case has and an earlier
+    project does not are added with their points. Each step is complete or absent: the call may be killed and repeated.
     """
     if not (folder / PROJECT).is_file():
         create_project(folder, case=case)
@@ -222,7 +222,7 @@ def solve_case(
                 found, remedy = "other settings than its project has", f"move {folder} away to have a new project"
                 raise InputError(str(case), found, remedy=remedy)
             addition = read_addition(project, [ImageArgument(case)], (), (), grown=True)
-            if addition.images or addition.network is not None:
+            if addition.images:
                 add(project, addition, "the case has grown")
     with open_project(folder, write=True) as project:
         return solve_project(project, figures, tables, device=device).solution

@@ -212,6 +212,11 @@ def from_arrays(value: Any, kind: Any, path: str, arrays: Arrays) -> Any:
     return _read_record(value, kind, path, arrays) if is_dataclass(kind) else _read_scalar(value, kind, path)
 
 
+def kinds_of(kind: Any) -> tuple[type[Any], ...]:
+    """Records that may stand where a protocol is declared; none of any other type."""
+    return tuple(_KINDS[kind].values()) if kind in _KINDS else ()
+
+
 def array_scalar(kind: Any) -> Any:
     """Type of the numbers of an array's type; None of any other type."""
     if get_origin(kind) is np.ndarray:
