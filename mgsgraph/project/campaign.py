@@ -204,8 +204,7 @@ def _refusal(path: Path, error: OSError) -> InputError:
 
 Progress = Callable[[int, int, CampaignEntry | None], None]
 """Called with the number of cases that are over, of all that are due, and the one just over (None at first)."""
-SUFFIX = ".toml"
-_ELSEWHERE, _MEND = "choose another --out", "take it away"
+SUFFIX, _ELSEWHERE, _MEND = ".toml", "choose another --out", "take it away"
 _PLAIN = "case"
 """Stem of a case file that says nothing; its folder's name is taken instead."""
 _BESIDE = {".lbl", ".img", ".imq", ".cub", ".pvl", ".isd", ".json"}

@@ -25,6 +25,7 @@ from mgsgraph.export.exchange import contents, format_of, read_networks
 from mgsgraph.export.exchange_setting import ExchangeSetting
 from mgsgraph.files.networks.editing import used_images
 from mgsgraph.files.networks.record import ControlNetwork, ControlPoint, PointType
+from mgsgraph.files.opening import head_of, read_bytes
 from mgsgraph.files.output.folders import MATCH
 from mgsgraph.files.writing import write_file
 from mgsgraph.geometry.footprint import footprint, overlaps
@@ -91,7 +92,7 @@ def split_case(case: Path, out: Path) -> Division:
     folders = {re.sub(r"[^\w.-]", "-", group.images[0].name): group for group in connected}
     clash = "names that differ in punctuation alone"
     require(len(folders) == len(connected), f"{case}, images", clash, "names that can be of folders")
-    earlier = [path for path in sorted(out.glob(f"*/{_CASE}")) if path.read_bytes().startswith(_HEAD.encode())]
+    earlier = [path for path in sorted(out.glob(f"*/{_CASE}")) if head_of(path, len(_HEAD)) == _HEAD.encode()]
     for folder, group in folders.items():
         path = out / folder / _CASE
         require(path in earlier or not path.exists(), str(path), "a case file of yours", remedy="choose another --out")
@@ -131,7 +132,7 @@ def _write(group: _Group, networks: Sequence[ControlNetwork], tables: CaseInput,
             source = case.parent / entry.network
             output, record = path.with_name(f"ties_{k}").absolute() / source.name, source.with_name(MATCH)
             files = contents(replace(network, points=tuple(points)), output, format_of(output), ExchangeSetting())
-            files |= {output.with_name(MATCH): record.read_bytes()} if record.is_file() else {}
+            files |= {output.with_name(MATCH): read_bytes(record)} if record.is_file() else {}
             output.parent.mkdir(exist_ok=True)
             for file, content in files.items():
                 write_file(file, content)
