@@ -436,22 +436,6 @@ def _table_text(table: KeyTable, width: int) -> str:
     return "\n".join(lines)
 
 
-def keys_markdown() -> str:
-    """The same as sections of a page, a heading and a list for each table."""
-    lines: list[str] = []
-    for table in key_tables():
-        head = f"`{table.head}`" if table.path else table.head
-        lines += [f"### {head}", "", table.meaning, "", "| key | what it is | when left out | what it says |"]
-        lines.append("|---|---|---|---|")
-        for key in table.keys:
-            default = "**must be there**" if key.required else f"`{key.default}`" if key.default else ""
-            kind = key.kind.replace('"', "`")
-            cells = f"`{key.name}`", kind, default, key.meaning.replace("|", r"\|")
-            lines.append(f"| {' | '.join(cells)} |".replace("|  |", "| |"))
-        lines.append("")
-    return "\n".join(lines)
-
-
 # --- case files that are written
 
 Value = str | float | Sequence["str | float"] | dict[str, "Value"]

@@ -109,7 +109,7 @@ def _links(
     tables: CaseInput, networks: Sequence[ControlNetwork], case: Path
 ) -> tuple[list[tuple[str, ...]], list[tuple[str, ...]]]:
     """Names of the images of each laser profile; names of images that are connected, these among them."""
-    profiles = [(entry.image,) if entry.image else () for entry in tables.shots]
+    profiles: list[tuple[str, ...]] = [(entry.image,) if entry.image else () for entry in tables.shots]
     needed = not networks or not all(profiles)
     images = read_images(tables, tables.orientations, (), case) if needed else ()
     for k, entry in [(k, entry) for k, entry in enumerate(tables.shots) if not entry.image]:
@@ -126,7 +126,7 @@ def _links(
 def _write(group: _Group, networks: Sequence[ControlNetwork], tables: CaseInput, case: Path, path: Path) -> None:
     """Write the networks of a group and its case file."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    ties = () if networks else (TiesInput("matches/network.pvl"),)
+    ties: tuple[TiesInput, ...] = () if networks else (TiesInput("matches/network.pvl"),)
     for k, (entry, network, points) in enumerate(zip(tables.tie_groups, networks, group.points, strict=True), start=1):
         if points:
             source = case.parent / entry.network
