@@ -123,5 +123,3 @@ def test_a_project_does_not_take_other_settings(region: Path, tmp_path: Path) ->
     (entry,) = run_campaign([case], out, PROJECTS).entries
     assert entry.status == "failed"
     assert str(case) in entry.message
-
-
