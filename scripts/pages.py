@@ -27,7 +27,7 @@ from mgsgraph.analysis.reliability import reliability
 from mgsgraph.analysis.residual_spectrum import ResidualVibrations
 from mgsgraph.analysis.statistics import solution_connectivity
 from mgsgraph.analysis.unexplained import unexplained
-from mgsgraph.case.case_file import keys_markdown
+from mgsgraph.case.case_file import key_tables
 from mgsgraph.case.reading import adjust, read_case
 from mgsgraph.cli import group
 from mgsgraph.cli.verbs import VERBS
@@ -106,6 +106,22 @@ def _before_mark(page: str, mark: str) -> str:
 def _after_mark(page: str, mark: str) -> str:
     """The part of a page from the mark on."""
     return "".join((DOCS / page).read_text(encoding="utf-8").partition(mark)[1:])
+
+
+def keys_markdown() -> str:
+    """Tables and keys of a case file as sections of a page, a heading and a list for each table."""
+    lines: list[str] = []
+    for table in key_tables():
+        head = f"`{table.head}`" if table.path else table.head
+        lines += [f"### {head}", "", table.meaning, "", "| key | what it is | when left out | what it says |"]
+        lines.append("|---|---|---|---|")
+        for key in table.keys:
+            default = "**must be there**" if key.required else f"`{key.default}`" if key.default else ""
+            kind = key.kind.replace('"', "`")
+            cells = f"`{key.name}`", kind, default, key.meaning.replace("|", r"\|")
+            lines.append(f"| {' | '.join(cells)} |".replace("|  |", "| |"))
+        lines.append("")
+    return "\n".join(lines)
 
 
 def input_keys_markdown() -> str:

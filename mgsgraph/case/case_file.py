@@ -3,6 +3,7 @@
 Tables and keys of a case file, as its schema has them: for `mgsgraph new --keys`, and for docs/case_file.md.
 """
 
+import json
 import textwrap
 import types
 import typing
@@ -435,17 +436,28 @@ def _table_text(table: KeyTable, width: int) -> str:
     return "\n".join(lines)
 
 
-def keys_markdown() -> str:
-    """The same as sections of a page, a heading and a list for each table."""
-    lines: list[str] = []
-    for table in key_tables():
-        head = f"`{table.head}`" if table.path else table.head
-        lines += [f"### {head}", "", table.meaning, "", "| key | what it is | when left out | what it says |"]
-        lines.append("|---|---|---|---|")
-        for key in table.keys:
-            default = "**must be there**" if key.required else f"`{key.default}`" if key.default else ""
-            kind = key.kind.replace('"', "`")
-            cells = f"`{key.name}`", kind, default, key.meaning.replace("|", r"\|")
-            lines.append(f"| {' | '.join(cells)} |".replace("|  |", "| |"))
-        lines.append("")
-    return "\n".join(lines)
+# --- case files that are written
+
+Value = str | float | Sequence["str | float"] | dict[str, "Value"]
+"""Of a key in a case file."""
+Tables = list[str]
+"""Lines of a case file."""
+
+
+def case_text(name: str, lines: Tables) -> str:
+    """A case file of this name with these lines."""
+    return "\n".join(["format = 1", f"name = {toml_value(name)}", *lines, ""])
+
+
+def toml_lines(header: str, **values: Value) -> Tables:
+    """A TOML table, after an empty line."""
+    return ["", header, *(f"{key} = {toml_value(value)}" for key, value in values.items())]
+
+
+def toml_value(value: Value) -> str:
+    """A value as TOML writes it."""
+    if isinstance(value, str | bool):
+        return json.dumps(value, ensure_ascii=False)
+    if isinstance(value, dict):
+        return f"{{ {', '.join(f'{key} = {toml_value(inner)}' for key, inner in value.items())} }}"
+    return repr(value) if isinstance(value, int | float) else f"[{', '.join(toml_value(item) for item in value)}]"

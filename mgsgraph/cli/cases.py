@@ -64,6 +64,31 @@ def check(case: Path, no_laser: bool, ties: Path | None) -> None:
 
 @click.command()
 @click.argument("case", type=PATH)
+@click.option("--out", type=PATH, required=True, help="Folder for the cases; an earlier one is brought up to date.")
+@DETAILS
+def split(case: Path, out: Path) -> None:
+    """Divide CASE into groups of connected images, and write a case for each: OUT/IMAGE/case.toml, called after the
+    first image of the group.
+
+    Images are connected by tie points or a laser profile in common; in a CASE without tie points by footprints that
+    overlap. Groups have the networks, profiles and other tables of CASE as far as these are theirs.
+    """
+    from mgsgraph.cli.progress import stage
+    from mgsgraph.project.regions import split_case
+    from mgsgraph.text import many, some
+
+    with stage("dividing"):
+        division = split_case(case, out)
+    sizes = sorted(len(images) for images in division.groups.values()) or [0]
+    click.echo(f"{many(sum(sizes), 'image')} in {many(len(division.groups), 'group')} of {sizes[0]} to {sizes[-1]}")
+    for what, names in (("Alone, in no group", division.alone), ("Now part of other groups", division.merged)):
+        print_sentences(f"{what}: {some(names, len(names))}" if names else "")
+    match = "" if division.measured else f"mgsgraph match {out}/NAME/case.toml --out {out}/NAME/matches; then "
+    click.echo(f"The cases are in {out}; next: {match}mgsgraph batch {out} --projects")
+
+
+@click.command()
+@click.argument("case", type=PATH)
 @out_option("adjust")
 @CLUSTER
 @INSECURE
@@ -126,13 +151,14 @@ def adjust(
 )
 @CLUSTER
 @INSECURE
+@click.option("--projects", is_flag=True, help="Keep each case in OUT as a project, which grows with its case.")
 @click.option("--retry", is_flag=True, help="Do those again that have failed or not converged, though nothing changed.")
 @overruling
 @DETAILS
 @click.pass_context
 def batch(
-    ctx: click.Context, cases: tuple[Path, ...], out: Path, cluster: str | None, insecure: bool, retry: bool,
-    overrides: "Overrides",
+    ctx: click.Context, cases: tuple[Path, ...], out: Path, cluster: str | None, insecure: bool, projects: bool,
+    retry: bool, overrides: "Overrides",
 ) -> None:  # fmt: skip
     """Adjust each CASE (a TOML file; of a FOLDER, every *.toml at any depth) into a folder of its own in OUT.
 
@@ -145,7 +171,9 @@ def batch(
     from mgsgraph.cli.progress import counting_bar
     from mgsgraph.project.campaign import CampaignEntry, line, run_campaign, summary
 
-    state = "nothing was begun"
+    if projects and (overrides.loss, overrides.reject, overrides.starts, overrides.laser) != (None, None, None, True):
+        raise click.UsageError("--projects: a project has the settings of its case, without options over them")
+    overrides, state = replace(overrides, projects=projects), "nothing was begun"
     try:
         with counting_bar("adjusting", "case") as bar:
 

@@ -39,7 +39,6 @@ _FORMATS = click.Choice([one.value for one in Format])
 )  # fmt: skip
 @click.option("--image", "only", multiple=True, metavar="IMAGE", help="Image to keep, or MGS/*; may be repeated.")
 @click.option("--verdicts", type=PATH, metavar="CSV", help="Of `studio`, about IN: rejected points get Ignore = True.")
-@click.option("--split", is_flag=True, help="A file for each connected part: OUT_1, OUT_2, ...")
 @click.option("--replace", is_flag=True, help="Overwrite OUT, whatever it is.")
 @click.option("--strict", is_flag=True, help="Write nothing (exit status 2) if OUT can't hold all that IN do.")
 @DETAILS
@@ -51,7 +50,7 @@ def convert(
     and .net (ISIS), .csv, .parquet, .match and .txt (matches of the Ames Stereo Pipeline; OUT is then what the files'
     names begin with, and there is one for each pair of images), .gcp and .nvm.
 
-    --verdicts, --image and --split, in this order, take parts of it.
+    --verdicts and --image, in this order, take parts of it.
 
     Says what was written and, one line each, what the format can't hold. Pixels are counted as each format counts them:
     see docs/exchange.md.
@@ -69,7 +68,7 @@ def convert(
     names = ("case", "sizes", "radii", "target", "rename", "prefix")
     setting = setting_of(**{name: options.pop(name) for name in names}, shifted=not nvm_no_shift)
     of_points = None if verdicts is None else read_verdicts(verdicts)
-    selection = Selection(Duplicates(duplicates), options.pop("only"), options.pop("split"), of_points)
+    selection = Selection(Duplicates(duplicates), options.pop("only"), of_points)
     try:
         written = make(
             inputs, output, setting, selection, replace=replace or out is not None, anything=replace, **options

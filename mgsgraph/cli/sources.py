@@ -106,7 +106,7 @@ def demo(
 @_ATTITUDE_TIME_BIAS
 @click.option("--no-pictures", is_flag=True, help="Uniform grey images, which are enough for geometry.")
 @click.option(
-    "--kind", metavar="NAME", help="Of an archive: kaguya, ctx, moc, dense or block (see below).  [default: kaguya]"
+    "--kind", metavar="NAME", help="Of an archive: kaguya, ctx, moc, region, dense or block.  [default: kaguya]"
 )
 @click.option(
     "--images", type=int,
@@ -126,7 +126,8 @@ def simulate(site: str, out: Path | None, no_pictures: bool, **options: Any) -> 
 
     Archives, of any number of images and ties: kaguya (3,361 images and 240,000 ties by default), a block of Kaguya's
     two terrain cameras; ctx (70,000 and 2.4 million), CTX about the whole globe; moc (97,000 and 1.5 million), MOC's
-    narrow angle in clusters; dense (20,000 and 12 million) and block (500 and a million), the terrain cameras again.
+    narrow angle in clusters; region (1,000 and 60,000), such clusters in a region, each image with a MOLA profile;
+    dense (20,000 and 12 million) and block (500 and a million), the terrain cameras again.
 
     case.toml in it is what `mgsgraph adjust`, `mgsgraph footprints` and `mgsgraph align` take; truth.json says what
     they should find. Errors are drawn from the sigmas that case.toml states; an attitude time bias, which it doesn't

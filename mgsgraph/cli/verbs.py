@@ -7,6 +7,7 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
         "simulate": ("sources", "Write the files of a simulated study site, in the formats of the mission's archive."),
         "new": ("new", "Write a case file for the files that you have; list the keys of a case file."),
         "check": ("cases", "Read and validate a case, say what is in it, solve nothing."),
+        "split": ("cases", "Divide a case into cases of connected images, for `batch`."),
         "match": ("sources", "Find tie points in the images themselves."),
     },
     "Adjust": {
@@ -62,6 +63,7 @@ REMOVED = {
     "analyze --snoop": "mgsgraph adjust CASE --reject, with the critical value that --reliability says",
     "convert --images": "--size",
     "convert --only": "--image",
+    "convert --split": "mgsgraph split CASE, which divides the network with its images",
     "convert --target": "--body",
     "convert --thin": "ISIS's cnetthinner keeps few points, well spread; --image keeps some images",
     "dem --mola": "--shots",

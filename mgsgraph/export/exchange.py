@@ -1,4 +1,4 @@
-"""Networks from one program to another: read in any format, united and split, written in any, and what gets
+"""Networks from one program to another: read in any format, united, written in any, and what gets
 lost on the way said. Of files of a network's name those alone are replaced that are networks by their content.
 """
 
@@ -6,10 +6,8 @@ import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 
-import numpy as np
 from msgspec import structs
 
 from mgsgraph.atomic_write import resolved
@@ -39,7 +37,7 @@ from mgsgraph.files.networks.asp_text import (
     stated_datum,
 )
 from mgsgraph.files.networks.binary import binary_network, read_network
-from mgsgraph.files.networks.editing import images_of, in_images, united, used_images
+from mgsgraph.files.networks.editing import images_of, in_images, united
 from mgsgraph.files.networks.pvl import network_text
 from mgsgraph.files.networks.record import (
     ControlNetwork,
@@ -48,7 +46,6 @@ from mgsgraph.files.networks.record import (
 )
 from mgsgraph.files.networks.table import read_table, table_parquet, table_text
 from mgsgraph.files.writing import Output, begins, fresh_file, require_free
-from mgsgraph.network.connectivity import groups
 from mgsgraph.record import Record
 from mgsgraph.text import many, some
 
@@ -83,8 +80,6 @@ class Selection:
     """What becomes of points that several files have."""
     images: tuple[str, ...] = ()
     """Names or patterns of images to keep; all when empty."""
-    split: bool = False
-    """Whether parts that are connected get files of their own."""
     verdicts: Verdicts | None = None
     """About the points that are read; rejected ones are written with Ignore = True."""
 
@@ -327,7 +322,7 @@ def convert(
         ignored = sum(point.ignore for point in network.points)
         notes = (*notes, f"Ignored: {ignored} of {many(len(network.points), 'point')}")
     network, sentences = in_images(network, selection.images) if selection.images else (network, [])
-    files, more = _files(network, output, form, setting, selection.split)
+    files = contents(network, output, form, setting)
     lossy = losses(network, form)
     _require_others(paths, files)
     for path in files:
@@ -335,43 +330,7 @@ def convert(
     if strict and lossy:
         raise Lossy(output, lossy)
     _write(files)
-    return Conversion(network, tuple(files), (*notes, *sentences, *more), tuple(lossy))
-
-
-def _files(
-    network: ControlNetwork, output: Path, form: Format, setting: ExchangeSetting, split: bool
-) -> tuple[dict[Path, bytes], list[str]]:
-    """Contents of all files by their paths; of parts the names are numbered, and there are sentences about them."""
-    if not split:
-        return contents(network, output, form, setting), []
-    files, sentences = dict[Path, bytes](), list[str]()
-    for number, part in enumerate(connected_parts(network), start=1):
-        path = output.with_name(f"{output.stem}_{number}{output.suffix}")
-        files |= contents(part, path, form, setting)
-        names = images_of(part)
-        sentences.append(f"Part {number}: {many(len(part.points), 'point')} in {many(len(names), 'image')} "
-                    f"({some(names, len(names))})")  # fmt: skip
-    return files, sentences
-
-
-def connected_parts(network: ControlNetwork) -> list[ControlNetwork]:
-    """Networks of images that are connected by points, the largest first; ignored points and measures connect nothing,
-    and go with their point's first image. A point without measures goes with the largest.
-    """
-    names = images_of(network)
-    number = {name: j for j, name in enumerate(names)}
-    used = [[number[name] for name in used_images(point)] for point in network.points]
-    pairs = sorted({pair for images in used for pair in pairwise(sorted(images))})
-    joined_images = groups(len(names), np.array(pairs, dtype=np.int64).reshape(-1, 2))
-    part = {j: k for k, group in enumerate(joined_images) for j in group}
-    members: dict[int, list[ControlPoint]] = {}
-    bare = list[ControlPoint]()
-    for point, images in zip(network.points, used, strict=True):
-        first = images[:1] or [number[measure.serial_number] for measure in point.measures[:1]]
-        (members.setdefault(part[first[0]], []) if first else bare).append(point)
-    groups_by_size = sorted(members.values(), key=len, reverse=True) or [[]]
-    groups_by_size[0] += bare
-    return [structs.replace(network, points=tuple(points)) for points in groups_by_size]
+    return Conversion(network, tuple(files), (*notes, *sentences), tuple(lossy))
 
 
 def _require_others(inputs: Sequence[Path], files: Mapping[Path, bytes]) -> None:

@@ -92,7 +92,7 @@ def parse_image(text: str) -> ImageArgument:
 
 def read_addition(
     project: Project, images: Sequence[ImageArgument], ties: Sequence[Path], shots: Sequence[Path], of_pass: str = "",
-    shares: Sequence[str] = (),
+    shares: Sequence[str] = (), grown: bool = False,
 ) -> Addition:  # fmt: skip
     """Read all images and measurements that the user adds.
 
@@ -109,6 +109,9 @@ def read_addition(
         Pass of the project that single images, and those of case files without measurements, join.
     shares : sequence of str
         Shared unknowns of the project that the same images share.
+    grown : bool
+        Of case files take the images that the project has not, and the points that these see; else images that it has
+        are refused. Matched again, the others would see the same ground by points of other names, and count twice.
 
     Raises
     ------
@@ -121,11 +124,15 @@ def read_addition(
     contents = [_read_case_images(path) for path in case_files]
     cases = [case for _, case in contents if case is not None]
     _require_no_options(cases, of_pass, shares)
-    case_images = [image for images_, _ in contents for image in images_]
+    stored_passes, stored_names = store.definitions(), store.image_names()
+    known = stored_names if grown else ()
+    case_images = [image for images_, _ in contents for image in images_ if image.known.image.name not in known]
     decisions = project.standing_decisions()
     given = (with_definitions(store.with_known_grids(case.network), Definitions()) for case in cases)
     networks = [network for case in given if (network := decided(case, decisions)) is not None]
-    stored_passes, stored_names = store.definitions(), store.image_names()
+    if grown:
+        seen = [part for network in networks for part in _seen_by(network, _names(case_images))]
+        networks = [remaining for network in seen for remaining in _new_in_project(network, store)]
     notes = [note for case in cases for note in case.notes]
     body = next((known.image.body for known in ImagesByName(store, _known(case_images)).values()), None)
     tie_points = [read_tie_points(path, body) for path in ties]
@@ -179,6 +186,13 @@ def _new_measurements(
     network = build_network(by_name, observations, sigmas.tie_sigma_px, sigmas.shot_image_sigma_px)
     network = None if network is None else decided(network, decisions)
     return [] if network is None else _new_in_project(network, store)
+
+
+def _seen_by(network: Network, names: Sequence[str]) -> list[Network]:
+    """The points of a network that some of its images see or range, with all their measurements; none without any."""
+    chosen, rays, ranges = np.isin([image.name for image in network.images], names), network.rays, network.ranges
+    points = np.union1d(rays.point[chosen[rays.image]], ranges.point[chosen[ranges.image]])
+    return [select_points(network, points)] if points.size else []
 
 
 def _new_in_project(network: Network, store: ProjectStore) -> list[Network]:

@@ -35,9 +35,10 @@ from mgsgraph.case.reading import adjust, read_case
 from mgsgraph.case.terrain import count_files
 from mgsgraph.errors import InputError, MgsgraphError, require
 from mgsgraph.files.opening import sha256_of
-from mgsgraph.files.output.folders import MATCH, require_replaceable
+from mgsgraph.files.output.folders import MATCH, PROJECT, require_replaceable
 from mgsgraph.files.output.folders import RECORD as RESULT
 from mgsgraph.files.writing import claim
+from mgsgraph.project.changes import solve_case
 from mgsgraph.results.results import AS_WRITTEN, Overrides, write_results
 from mgsgraph.results.verdict import reason_sentences
 from mgsgraph.text import many
@@ -197,14 +198,13 @@ def _entry(line: bytes, where: str) -> CampaignEntry:
 
 
 def _refusal(path: Path, error: OSError) -> InputError:
-    reason = error.strerror or str(error)
-    return InputError(str(path), f"can't be written ({reason})", remedy="choose another --out, where you may write")
+    remedy = "choose another --out, where you may write"
+    return InputError(str(path), f"can't be written ({error.strerror or error})", remedy=remedy)
 
 
 Progress = Callable[[int, int, CampaignEntry | None], None]
 """Called with the number of cases that are over, of all that are due, and the one just over (None at first)."""
-SUFFIX = ".toml"
-_ELSEWHERE, _MEND = "choose another --out", "take it away"
+SUFFIX, _ELSEWHERE, _MEND = ".toml", "choose another --out", "take it away"
 _PLAIN = "case"
 """Stem of a case file that says nothing; its folder's name is taken instead."""
 _BESIDE = {".lbl", ".img", ".imq", ".cub", ".pvl", ".isd", ".json"}
@@ -368,11 +368,14 @@ def run_case(task: CaseTask) -> CampaignEntry:
 
 def _adjusted(task: CaseTask) -> dict[str, Any]:
     """Read, adjust and write; the figures that the record keeps."""
-    target = task.out / task.folder
-    require_replaceable(target)
-    case = read_case(task.case, laser=task.overrides.laser)
-    solution = adjust(dataclasses.replace(case, settings=task.overrides.over(case.settings)))
-    write_results(solution, target, task.overrides.figures, task.case, case.networks, task.overrides.tables)
+    target, overrides = task.out / task.folder, task.overrides
+    if overrides.projects:
+        solution = solve_case(task.case, target, overrides.figures, overrides.tables, overrides.device)
+    else:
+        require_replaceable(target)
+        case = read_case(task.case, laser=overrides.laser)
+        solution = adjust(dataclasses.replace(case, settings=overrides.over(case.settings)))
+        write_results(solution, target, overrides.figures, task.case, case.networks, overrides.tables)
     return {
         "status": "not converged" if not solution.converged else "done" if is_valid(solution) else "no result",
         "message": " ".join([*reason_sentences(verdict(solution).reasons), solution.message]),
@@ -385,8 +388,7 @@ def _adjusted(task: CaseTask) -> dict[str, Any]:
 
 def _ended(task: CaseTask, sums: dict[str, str | None], seconds: float, outcome: dict[str, Any]) -> CampaignEntry:
     missing: dict[str, Any] = {"status": "failed", "converged": False, "sigma0": None, "cost": None, "iterations": None}
-    outcome = missing | outcome
-    outcome["message"] = " ".join(outcome["message"].split())
+    outcome = missing | outcome | {"message": " ".join(outcome["message"].split())}
     if outcome["status"] == "failed" and (task.out / task.folder).exists():
         outcome["message"] += f" (what is in {task.folder} is from before)"
     return CampaignEntry(
@@ -480,11 +482,12 @@ def _tasks(cases: tuple[Path, ...], out: Path, record: Record, overrides: Overri
 
 def _is_due(task: CaseTask, last: CampaignEntry | None, retry: bool) -> bool:
     """Whether a case has to be done: never done, done otherwise or from other inputs, or its results are gone."""
-    if last is None or last.overrides != task.overrides or last.checksums != checksums(task.case):
+    if last is None or (retry and last.status != "done"):
         return True
-    if last.status != "done" and retry:
+    if last.overrides != task.overrides or last.checksums != checksums(task.case):
         return True
-    return last.status != "failed" and not (task.out / task.folder / RESULT).is_file()
+    result = PROJECT if task.overrides.projects else RESULT
+    return last.status != "failed" and not (task.out / task.folder / result).is_file()
 
 
 @contextmanager
@@ -501,8 +504,7 @@ def _workers(cluster: str | None, insecure: bool, record: Record, due: Sequence[
 
 def summary(campaign: Campaign) -> str:
     """Counts, and a line for each of the cases that failed or did not converge."""
-    total, kept = len(campaign.entries), len(campaign.kept)
-    states = "done", "no result", "not converged", "failed"
+    total, kept, states = len(campaign.entries), len(campaign.kept), ("done", "no result", "not converged", "failed")
     counts = ", ".join(f"{number} {status}" for status in states if (number := campaign.count(status)))
     earlier = f" ({kept} of them earlier, and nothing has changed since)" if kept else ""
     troubled = [f"- {line(entry)}" for entry in campaign.entries if entry.status != "done"]

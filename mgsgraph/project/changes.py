@@ -15,14 +15,22 @@ from mgsgraph.adjustment.incremental.trajectories import extended, shortened, tu
 from mgsgraph.adjustment.settings import Device, SolverSettings
 from mgsgraph.case.case_file import decode
 from mgsgraph.errors import InputError, errors_from
+from mgsgraph.files.output.folders import PROJECT
 from mgsgraph.network import Network
 from mgsgraph.network.duplicates import duplicates
 from mgsgraph.network.joining import Definitions, definitions
 from mgsgraph.network.parts import KnownImage, Members, Unknown
-from mgsgraph.project.addition import Addition, NewImage, images_of_case, images_without_ties
+from mgsgraph.project.addition import (
+    Addition,
+    ImageArgument,
+    NewImage,
+    images_of_case,
+    images_without_ties,
+    read_addition,
+)
 from mgsgraph.project.decisions import decided
 from mgsgraph.project.former import former_content
-from mgsgraph.project.project import Project
+from mgsgraph.project.project import Project, open_project
 from mgsgraph.project.settings import ProjectSettings, read_settings, settings_of_case
 from mgsgraph.project.store import ProjectStore
 from mgsgraph.record import Record
@@ -198,6 +206,26 @@ def solve_project(
         solution, lambda to: write_results(solution, to, figures, networks=project.networks, tables=tables)
     )
     return SolvedProject(solution, check, folder)
+
+
+def solve_case(
+    case: Path, folder: Path, figures: bool, tables: "TableForm | None", device: Device | None
+) -> "Solution":
+    """Solution of the project of a case, which is made where there is none. Images that the case has and an earlier
+    project does not are added with their points. Each step is complete or absent: the call may be killed and repeated.
+    """
+    if not (folder / PROJECT).is_file():
+        create_project(folder, case=case)
+    else:
+        with open_project(folder, write=True) as project:
+            if settings_of_case(case) != project.settings:
+                found, remedy = "other settings than its project has", f"move {folder} away to have a new project"
+                raise InputError(str(case), found, remedy=remedy)
+            addition = read_addition(project, [ImageArgument(case)], (), (), grown=True)
+            if addition.images:
+                add(project, addition, "the case has grown")
+    with open_project(folder, write=True) as project:
+        return solve_project(project, figures, tables, device=device).solution
 
 
 def store_unadjusted(store: ProjectStore, addition: Addition) -> None:

@@ -197,6 +197,8 @@ class Overrides:
     """Form of the tables of points and residuals, as `write_results`."""
     device: Device | None = None
     """Processor that evaluates the points, as `SolverSettings.device`."""
+    projects: bool = False
+    """Whether the results of many cases are projects."""
 
     def over(self, settings: SolverSettings) -> SolverSettings:
         """A case file's settings with these over them."""

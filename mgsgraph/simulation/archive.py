@@ -29,7 +29,7 @@ from mgsgraph.simulation.orbit import (
 )
 from mgsgraph.units import DEG
 
-ArchiveKind = Literal["kaguya", "ctx", "moc", "dense", "block"]
+ArchiveKind = Literal["kaguya", "ctx", "moc", "dense", "block", "region"]
 """Camera and layout."""
 ARCHIVE_KINDS = get_args(ArchiveKind)
 """What `simulate archive --kind` offers."""
@@ -44,8 +44,6 @@ _RECORDS = 4
 """Of each image's tables of position and attitude: a circle between two of them is off by less than a centimetre."""
 _SHAKEN = 0.05
 """Share of their distances by which images of a block lie off their places, at most."""
-_MORE_ABOUT_A_PLACE = 4.0
-"""Images of a cluster beyond the first two, on the average."""
 _SCATTER = 0.45
 """Share of an image's size by which those of a cluster lie off its middle, at most."""
 
@@ -115,6 +113,12 @@ class _Plan(NamedTuple):
     """Of the polynomials by which orientations are corrected."""
     relief: float
     """m, amplitude of the ground's largest sine."""
+    about_a_place: float = 4.0
+    """Images of a cluster beyond the first two, on the average."""
+    extent: float = 1.0
+    """Share of all longitudes over which clusters lie, and of the sines of all latitudes about the equator."""
+    profiles: bool = False
+    """Whether an altimeter's profile was taken along with each image."""
 
 
 _PLANS: dict[str, _Plan] = {
@@ -122,6 +126,7 @@ _PLANS: dict[str, _Plan] = {
     "ctx": _Plan(_CTX, 70_000, 2_400_000, "block", (0.25, 0.4), 0, 1000.0),
     "moc": _Plan(_MOC, 97_000, 1_500_000, "clusters", (0.0, 0.0), 0, 150.0),
     "dense": _Plan(_TC, 20_000, 12_000_000, "block", (0.1, 0.25), 0, 1000.0),
+    "region": _Plan(_MOC, 1000, 60_000, "clusters", (0.0, 0.0), 0, 150.0, 10.0, 0.1, True),
     "block": _Plan(_TC, 500, 1_000_000, "block", (0.1, 0.1), 2, 1000.0),
 }
 
@@ -269,12 +274,12 @@ def _tiles(settings: ArchiveSettings, sites: int, rng: np.random.Generator) -> A
 
 def _clusters(settings: ArchiveSettings, sites: int, rng: np.random.Generator) -> Array:
     """(sites, 2) rad, longitudes and latitudes of images about places at random, 2 or more about each."""
-    sizes = 2 + rng.geometric(1.0 / _MORE_ABOUT_A_PLACE, sites // 2 + 1)
+    sizes = 2 + rng.geometric(1.0 / settings.plan.about_a_place, sites // 2 + 1)
     sizes = sizes[: int(np.searchsorted(np.cumsum(sizes), sites)) + 1]
     of_place = np.repeat(np.arange(sizes.size), sizes)[:sites]
     of_place[-1] = of_place[-2]  # never one alone
-    longitudes = rng.uniform(-np.pi, np.pi, sizes.size)[of_place]
-    latitudes = np.arcsin(rng.uniform(-0.98, 0.98, sizes.size))[of_place]
+    longitudes = settings.plan.extent * rng.uniform(-np.pi, np.pi, sizes.size)[of_place]
+    latitudes = np.arcsin(settings.plan.extent * rng.uniform(-0.98, 0.98, sizes.size))[of_place]
     camera = settings.plan.camera
     along, across = (
         rng.uniform(-_SCATTER, _SCATTER, (sites, 2)) * camera.ground_size / camera.body.ellipsoid.equatorial

@@ -11,17 +11,19 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from mgsgraph.case.case_file import case_text, toml_lines
 from mgsgraph.files.networks.binary import LABEL_BYTES, network_header, network_label
 from mgsgraph.files.networks.messages import points_content
 from mgsgraph.files.networks.record import ControlMeasure, ControlNetwork, ControlPoint, MeasureType, PointType
-from mgsgraph.geometry.body import target_name
+from mgsgraph.geometry.body import planetocentric, target_name
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Index
 from mgsgraph.simulation.archive import Archive
-from mgsgraph.simulation.archive_ties import Footprints, Region, footprint, regions
-from mgsgraph.simulation.case_files import case_text, json_text, sampled_fields, sigma_lines, toml_lines
+from mgsgraph.simulation.archive_ties import Footprints, Region, footprint, regions, shots_along
+from mgsgraph.simulation.case_files import json_text, sampled_fields, sigma_lines
 from mgsgraph.simulation.files import write_texts, writing
-from mgsgraph.units import ISIS_OFFSET
+from mgsgraph.simulation.sites import SHIFT_SIGMA
+from mgsgraph.units import DEG, ISIS_OFFSET
 from mgsgraph.workers import Progress, no_progress
 
 _WRITTEN = "2000-01-01T00:00:00"
@@ -58,9 +60,9 @@ def write_archive(archive: Archive, folder: Path, progress: Progress = no_progre
     return folder / "case.toml"
 
 
-def image_path(archive: Archive, j: int) -> str:
-    """Of the support data of image `j`, in the archive's folder."""
-    return f"isd/{j // _IN_A_FOLDER:03d}/{archive.name(j).partition('/')[2]}.json"
+def image_path(archive: Archive, j: int, kind: str = "isd", ending: str = "json") -> str:
+    """Of the support data of image `j` (or of files of another kind), in the archive's folder."""
+    return f"{kind}/{j // _IN_A_FOLDER:03d}/{archive.name(j).partition('/')[2]}.{ending}"
 
 
 def _write_images(archive: Archive, folder: Path, progress: Progress) -> Footprints:
@@ -73,6 +75,8 @@ def _write_images(archive: Archive, folder: Path, progress: Progress) -> Footpri
             progress("images", j, len(archive))
         path.write_bytes(msgspec.json.encode(_support_data(image)))
         middles[j], halves[j] = footprint(image)
+        if archive.settings.plan.profiles:
+            _write_shots(archive, j, folder / image_path(archive, j, "shots", "csv"))
     return Footprints(middles, halves)
 
 
@@ -84,6 +88,17 @@ def _support_data(image: PushbroomImage) -> dict[str, Any]:
         **sampled_fields(image),
         "optical_distortion": {},
     }
+
+
+def _write_shots(archive: Archive, j: int, path: Path) -> None:
+    """Write the laser shots of image `j` with the columns of a selection of `mgsgraph footprints`."""
+    shots = shots_along(archive, j)
+    longitude, latitude, radius = planetocentric(shots.points).T
+    orbit, number = np.full(shots.times.size, j + 1), np.arange(1, shots.times.size + 1)
+    columns = (orbit, number, shots.times, longitude / DEG, latitude / DEG, radius, shots.ranges)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    np.savetxt(path, np.column_stack(columns), ("MOLA,%d", "%d", "%.6f", "%.9f", "%.9f", "%.3f", "%.3f"), ",",
+               header="altimeter,orbit,shot,time_s,longitude_deg,latitude_deg,radius_m,range_m", comments="")
 
 
 def _write_ties(archive: Archive, footprints: Footprints, folder: Path, progress: Progress) -> Index:
@@ -132,4 +147,8 @@ def _case(archive: Archive, measured: Index) -> str:
     lines = sigma_lines(settings.noise, NETWORK)
     for j in np.flatnonzero(measured).tolist():
         lines += toml_lines("[[images]]", name=archive.name(j), isd=image_path(archive, j))
+    for j in np.flatnonzero(measured).tolist() if settings.plan.profiles else ():
+        lines += toml_lines("[[shots]]", file=image_path(archive, j, "shots", "csv"), image=archive.name(j),
+                            range_sigma_m=settings.noise.range, ground_sigma_m=settings.noise.ground,
+                            shift_sigma_m=SHIFT_SIGMA, beam_sigma_mrad=0.0)  # fmt: skip
     return case_text(f"simulated archive {settings.kind}, {len(archive)} images", lines)

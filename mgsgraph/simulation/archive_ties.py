@@ -13,7 +13,8 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.simulation.archive import Archive
-from mgsgraph.simulation.observations import well_inside
+from mgsgraph.simulation.observations import MARGIN, Shots, well_inside
+from mgsgraph.simulation.sites import SHIFT_SIGMA
 from mgsgraph.workers import Count, no_progress
 
 _REGION = 20_000
@@ -22,6 +23,8 @@ _DRAWN = 4
 """Places drawn for each point that is wanted."""
 _REACH = 1.15
 """Half diagonals of the largest image about a middle in which ground is looked for: images lie off a little."""
+_TICK, _ROUNDS = 0.1, 6
+"""s between laser shots, and steps to where a line of sight meets the ground."""
 _CACHED = 1 << 13
 """Images kept in memory; those of a region are used several times."""
 _WAVES = np.array([[1.0, 61e3, 0.0], [0.5, 23e3, 1.3], [0.2, 9e3, 2.9]])
@@ -172,6 +175,20 @@ def _projected(
         points[counts > 1], counts[counts > 1], image[chosen],
         exact + archive.settings.noise.tie * rng.standard_normal(exact.shape),
     )  # fmt: skip
+
+
+def shots_along(archive: Archive, j: int) -> Shots:
+    """Laser shots along the optical axis of image `j`, with noise and the profile's common horizontal error."""
+    image, true, rng = archive.image(j), archive.true(j), np.random.default_rng([archive.seed, 2, j])
+    elapsed, _ = image.timing.at(np.array([MARGIN, image.lines - MARGIN]))
+    times = image.trajectory.epoch + np.arange(elapsed[0], elapsed[1], _TICK)
+    lines, height = image.timing.lines(times - image.trajectory.epoch), np.zeros(times.size)
+    for _ in range(_ROUNDS):
+        points, _ = image.image_to_ground(lines, np.full(times.size, 0.5 * image.samples), height, true)
+        height += np.linalg.norm(on_waves(archive, unit_vectors(points)), axis=1) - np.linalg.norm(points, axis=1)
+    ranges = np.linalg.norm(points - image.pose(lines, true).position, axis=1)
+    error, up = SHIFT_SIGMA * rng.standard_normal(3), unit_vectors(points.mean(axis=0)[None])[0]
+    return Shots(times, points + error - (error @ up) * up, ranges).noisy(archive.settings.noise, rng)
 
 
 def on_waves(archive: Archive, directions: Array) -> Array:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from mgsgraph.case.case_file import Tables, Value, case_text, toml_lines
 from mgsgraph.errors import InputError
 from mgsgraph.files.altimetry.lidar import LidarMeasure, LidarShot, lidar_coordinates, lidar_text
 from mgsgraph.files.networks.pvl import network_text
@@ -131,10 +132,6 @@ _TREND, _EOS_TREND = (1.0, 0.02, 0.002), (1.0, 1.0, 1.0)
 about their mean (Table 2) times sqrt(3), over 100 or 200 m: 0.007 to 0.04 at Gusev and Isidis, 3.8 in the right
 image of Eos."""
 
-Value = str | float | Sequence["str | float"] | dict[str, "Value"]
-"""Of a key in a case file."""
-Tables = list[str]
-"""Lines of a case file."""
 
 
 def campaign_case(name: str, images: Sequence[PushbroomImage], noise: NoiseSettings) -> str:
@@ -236,21 +233,3 @@ def _site_orientation(prior: OrientationPrior, trend: tuple[float, ...]) -> dict
         "nominal": "polynomial", "position_sigma_m": float(prior.sigmas[0, 0]),
         "angle_sigma_mrad": [round(angle / MRAD, 4) for angle in prior.sigmas[0, 3:].tolist()], "trend": list(trend),
     }  # fmt: skip
-
-
-def case_text(name: str, lines: Tables) -> str:
-    """A case file of this name with these lines."""
-    return "\n".join(["format = 1", f'name = "{name}"', *lines, ""])
-
-
-def toml_lines(header: str, **values: Value) -> Tables:
-    """A TOML table, after an empty line."""
-    return ["", header, *(f"{key} = {_toml(value)}" for key, value in values.items())]
-
-
-def _toml(value: Value) -> str:
-    if isinstance(value, str):
-        return f'"{value}"'
-    if isinstance(value, dict):
-        return f"{{ {', '.join(f'{key} = {_toml(inner)}' for key, inner in value.items())} }}"
-    return repr(value) if isinstance(value, int | float) else f"[{', '.join(_toml(item) for item in value)}]"

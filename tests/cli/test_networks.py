@@ -204,7 +204,7 @@ def test_there_and_back_with_the_case(network: Path, case_file: Path) -> None:
             assert before.sample == pytest.approx(after.sample, abs=1e-9)
 
 
-def test_united_and_split(network: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_united_and_selected(network: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """One image's measures and the other's make the whole again; what stays of it hangs together."""
     folder, whole = network.parent, read_network(network)
     first, second = names(network)
@@ -221,11 +221,8 @@ def test_united_and_split(network: Path, capsys: pytest.CaptureFixture[str]) -> 
     before, after = ([(m.serial_number, m.line) for one in each.points for m in one.measures]
                      for each in (whole, read_network(folder / "both.net")))  # fmt: skip
     assert after == before
-    assert convert(folder / "both.net", "--out", folder / "part.net", "--split", "--image", "SIM/*") == 0
-    assert "Part 1: 20 points in 2 images" in capsys.readouterr().out
-    assert len(read_network(folder / "part_1.net").points) == 20
-    assert not (folder / "part.net").exists()
-    assert not (folder / "part_2.net").exists()
+    assert convert(folder / "both.net", "--out", folder / "part.net", "--image", "SIM/*") == 0
+    assert len(read_network(folder / "part.net").points) == 20
     for wrong, found in ((["--image", "SIM/A"], "no point"), (["--out", folder / "both.net"], "one of the files")):
         with pytest.raises(InputError, match=found):
             convert(folder / "both.net", "--out", folder / "c.net", *wrong)

@@ -42,7 +42,7 @@ def test_a_strip_with_its_steps_adjusts(tmp_path: Path) -> None:
         (("pair", "--ties", 4), "ties: given for pair"),
         (("archive", "--steps"), "steps: given for archive"),
         (("strip", "--kind", "moc"), "kind: given for strip; expected the site archive"),
-        (("archive", "--kind", "themis"), "kind: 'themis'; expected kaguya, ctx, moc, dense or block"),
+        (("archive", "--kind", "themis"), "kind: 'themis'; expected kaguya, ctx, moc, dense, block or region"),
         (("strip", "--images", 1), "images: 1; expected a whole number, at least 2"),
         (("strip", "--images", 501), "images: 501; expected 2 .. 500"),
         (("strip", "--ties", 0), "ties: 0"),

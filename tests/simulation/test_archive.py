@@ -153,7 +153,7 @@ def test_the_middle_of_an_image_is_its_site(archive: Archive) -> None:
         assert np.linalg.norm(found - archive.sites[j]) < 0.01 * archive.settings.plan.camera.ground_size[1]
 
 
-@pytest.mark.parametrize("kind", ["kaguya", "ctx", "moc"])
+@pytest.mark.parametrize("kind", ["kaguya", "ctx", "moc", "region"])
 def test_an_adjustment_finds_the_truth(kind: str, tmp_path: Path) -> None:
     archive = lay_out(archive_settings(kind, 8, 200), seed=5)
     case = read_case(write_archive(archive, tmp_path))
@@ -204,7 +204,7 @@ def test_clusters_have_no_image_alone() -> None:
 @pytest.mark.parametrize(
     ("kind", "images", "ties", "degree", "says"),
     [
-        ("themis", 4, 4, 0, "kind: 'themis'; expected kaguya, ctx, moc, dense or block"),
+        ("themis", 4, 4, 0, "kind: 'themis'; expected kaguya, ctx, moc, dense, block or region"),
         ("ctx", 4, 4, 3, "degree: 3"),
     ],
 )

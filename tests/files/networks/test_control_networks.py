@@ -1,20 +1,18 @@
-"""What control networks mean to an adjustment; united and split: nothing lost or made up."""
+"""What control networks mean to an adjustment; united: nothing lost or made up."""
 
-from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from control_networks import IMAGES, free_networks
+from control_networks import free_networks
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec import structs
 
 from mgsgraph.errors import InputError
-from mgsgraph.export.exchange import connected_parts
-from mgsgraph.files.networks.binary import read_control_network, read_network, write_binary_network
-from mgsgraph.files.networks.editing import in_images, united, used_images, with_measures
+from mgsgraph.files.networks.binary import read_control_network, write_binary_network
+from mgsgraph.files.networks.editing import in_images, united, with_measures
 from mgsgraph.files.networks.pvl import write_pvl_network
 from mgsgraph.files.networks.record import (
     ControlMeasure,
@@ -120,39 +118,6 @@ def test_images_by_name_and_pattern() -> None:
         in_images(network, ["MGS/1", "MEX"])
     with pytest.raises(InputError, match="no point in the images"):
         in_images(of(*network.points[1:2]), ["MRO/1"])
-
-
-@settings(max_examples=30)
-@given(drawn=NETWORKS)
-def test_parts_hang_together_and_are_all(drawn: ControlNetwork) -> None:
-    parts = connected_parts(drawn)
-
-    assert sorted(one.id for part in parts for one in part.points) == sorted(one.id for one in drawn.points)
-    for part, other in combinations(parts, 2):
-        assert not {name for one in part.points for name in used_images(one)}.intersection(
-            name for one in other.points for name in used_images(one)
-        )
-    for part in parts:
-        reached = set(used_images(part.points[0]))
-        for _ in IMAGES:
-            for one in part.points:
-                reached |= set(used_images(one)) if reached.intersection(used_images(one)) else set()
-        assert reached == {name for one in part.points for name in used_images(one)}
-    assert [len(part.points) for part in parts] == sorted((len(part.points) for part in parts), reverse=True)
-
-
-def test_what_is_ignored_connects_nothing() -> None:
-    network = of(
-        point("p", measure("A"), measure("B")), point("q", measure("C"), measure("D")), point("r"),
-        point("s", measure("B"), measure("C", ignore=True)), point("t", measure("C"), measure("A"), ignore=True),
-    )  # fmt: skip
-    assert [[one.id for one in part.points] for part in connected_parts(network)] == [["p", "s", "r"], ["q", "t"]]
-
-
-@pytest.mark.parametrize("name", ["lro_nac_lola/network.pvl", "mgs_moc_wa_three/controlnetwork.net"])
-def test_real_networks_hang_together(shared_data: Path, name: str) -> None:
-    network = read_network(shared_data / name)
-    assert len(connected_parts(network)) == 1
 
 
 # --- tie points of an adjustment, one rule for text, binary form and records
