@@ -192,7 +192,7 @@ def words(judged: Judged) -> list[str]:
         f"{judged.sigma:.2f} m rms; error over sigma: {judged.share:.2f} rms.",
         "* Most of that is common to neighbouring posts, as the orientation's share of the sigma says: the model lies "
         f"{east:+.0f} m east, {north:+.0f} m north and {up:+.1f} m up of the truth. Without that, tilts and a bend "
-        f"along the flight {judged.residual:.2f} m rms are left; the stated sigma of matching is {judged.matching:.2f} m.",
+        f"along the flight {judged.residual:.2f} m rms are left; stated sigma of matching: {judged.matching:.2f} m.",
     ]
 
 

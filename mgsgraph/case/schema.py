@@ -159,10 +159,6 @@ its start over the same ground. Attitude and position err together; as independe
 _Turn = Annotated[float, msgspec.Meta(ge=-360.0, le=360.0)]
 
 
-def _resected(orientation: OrientationInput) -> OrientationInput:
-    return msgspec.structs.replace(orientation, **RESECTED)
-
-
 class ResectionInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Where an image was taken from of which no kernels are at hand: by its label's time, and a circular orbit that
     passes over its middle, in the plane of another image's orbit turned about the pole.
@@ -447,10 +443,8 @@ class CaseInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     @property
     def orientations(self) -> list[OrientationInput]:
         """[orientation] of each image: its own, or that of the case; of a resected one with the sigmas of its start."""
-        return [
-            image.orientation or (_resected(self.orientation) if image.resection else self.orientation)
-            for image in self.images
-        ]
+        resected = msgspec.structs.replace(self.orientation, **RESECTED)
+        return [image.orientation or (resected if image.resection else self.orientation) for image in self.images]
 
     def priors(self, where: str, images: Sequence[PushbroomImage]) -> tuple[OrientationPrior, ...]:
         """Priors of the corrections of all images, which have been read; `where` names the file in errors."""

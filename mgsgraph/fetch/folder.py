@@ -1,7 +1,7 @@
 """From ids of images to a folder with images, kernels, profiles, a terrain and a case, with a lock over all of it."""
 
 import hashlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -151,7 +151,8 @@ def fetch_images(
         for image in needs if choice == "128" else ():
             with errors_from(f"{image.product}, whose place its tiles depend on"):
                 places += ground_places(image, folder)
-        grid = None if choice == "none" or _on_the_moon(needs) else grid_of(choice, places)
+        on_the_moon = any(image.camera is not None and image.camera.moon for image in needs)
+        grid = None if choice == "none" or on_the_moon else grid_of(choice, places)
         if grid is not None:
             store.get_all(wanted_grids(grid, archives))
         store.mend()
@@ -243,10 +244,6 @@ def _find(products: Sequence[Product], lock: Lock, search: Search) -> None:
         if str(product) not in lock.images:
             lock.images[str(product)] = search.needs(product)
             lock.write()
-
-
-def _on_the_moon(needs: Iterable[ImageNeeds]) -> bool:
-    return any(image.camera is not None and image.camera.moon for image in needs)
 
 
 def _kernels(image: ImageNeeds) -> str:

@@ -69,16 +69,12 @@ def _of_pair(scene: Scene, measures: Measured, step: float, seed: int) -> tuple[
     correction, fits = consensus(displaced, _ROUGH * step, scene.ground.height_sigma, rng)
     across, along = displaced.residuals(correction).T
     limit = max(_LIMIT * robust_sigma(across[fits]), _LEAST_LIMIT * step)
-    coplanar = np.abs(across - _middle(across[fits])) <= limit
+    coplanar = np.abs(across - (np.median(across[fits]) if np.any(fits) else 0.0)) <= limit
     if np.count_nonzero(coplanar) < _FEWEST:  # so few agree with any orientation
         coplanar[:] = False
     steady = np.zeros(coplanar.size, dtype=bool)
     steady[coplanar] = _like_neighbours(first.on_chart(scene.ground, measures.anchors[coplanar]), along[coplanar], step)
     return coplanar, steady, across
-
-
-def _middle(values: Array) -> float:
-    return float(np.median(values)) if values.size else 0.0
 
 
 def _like_neighbours(plane: Array, along: Array, step: float) -> Mask:

@@ -24,7 +24,7 @@ from mgsgraph.analysis.places import terrain_slopes
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north_up, error_ellipses, geodetic, planetocentric
 from mgsgraph.geometry.intersection import meet_terrain
-from mgsgraph.geometry.orientation import Angles, OrientationCorrection
+from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network.corrections import designs
@@ -276,11 +276,11 @@ class LinkedImages:
         joint = self.block.joint
         if joint is None:
             return None
-        parts = dict[int, Array]()
+        nominal, parts = OrientationCorrection(np.zeros((1, 6)), self.block.settings.angles), dict[int, Array]()
         for number, place, factor in zip(pair, places, (-jacobian, np.eye(2)), strict=True):
-            picture, correction = self.block.images[number], self.block.corrections[number] or self._nominal
+            picture, correction = self.block.images[number], self.block.corrections[number] or nominal
             by_pose = picture.by_correction(ground.point[None], place[None], correction)[0, :, :6]
-            for variable, part in designs(self.block.network, number, self._angles, place[:1])[0].items():
+            for variable, part in designs(self.block.network, number, nominal.angles, place[:1])[0].items():
                 parts[variable] = parts.get(variable, np.zeros((2, part.shape[1]))) + factor @ by_pose @ part
         covariance = np.zeros((2, 2))
         if parts:
@@ -295,14 +295,6 @@ class LinkedImages:
         middles, reaches = self.block.caps
         away = np.arccos(np.clip(middles @ (point / np.linalg.norm(point)), -1.0, 1.0))
         return np.flatnonzero(away <= reaches).tolist()
-
-    @property
-    def _angles(self) -> Angles:
-        return self.block.settings.angles
-
-    @cached_property
-    def _nominal(self) -> OrientationCorrection:
-        return OrientationCorrection(np.zeros((1, 6)), self.block.settings.angles)
 
 
 def ground_record(ground: Ground, predictions: list[Prediction], block: Block) -> dict[str, Any]:

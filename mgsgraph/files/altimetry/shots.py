@@ -165,11 +165,6 @@ def _in_profiles(
     return AltimetryCloud(str(path), ids[order], points[order], times[order], profiles, profile[order], footprint)
 
 
-def _product(path: Path) -> str:
-    """The name of a file up to its first dot."""
-    return path.name.partition(".")[0]
-
-
 def _cloud_of(shots: AltimeterShots) -> AltimetryCloud:
     """Ground returns of an altimeter."""
     path = Path(shots.source)
@@ -217,7 +212,7 @@ def _plain_table(table: CsvText, body: Ellipsoid | None) -> AltimetryCloud:
 def _profiles(path: Path, times: Array, utc: Names | None) -> RepeatedNames | Index:
     """Keys (n,) of profiles between pauses: the minute in which the first shot was fired, or numbers from 1."""
     if np.isnan(times[0]):
-        return RepeatedNames((_product(path),), np.zeros(times.size, dtype=np.int64))
+        return RepeatedNames((path.name.partition(".")[0],), np.zeros(times.size, dtype=np.int64))
     numbers, first = by_pauses(times)
     if utc is None:
         return numbers + 1

@@ -55,13 +55,10 @@ def require_own_statements(root: Block, label: LineScanLabel, image: PushbroomIm
             away = f"{off / KM:.0f} km from where the middle pixel's ray meets the ground"
             remedy = "look at the label's times and places, and at the kernels"
             raise InputError(root.where(key), away, f"within {max(_NEAR, size) / KM:.0f} km of it", remedy)
-    names = [name for block in _blocks(root) for name in block.entries if not name.startswith("^")]
+    blocks = root, *(block for block in root.blocks if block.name == "image")
+    names = [name for block in blocks for name in block.entries if not name.startswith("^")]
     unread_keys = [name.upper() for name in unread(names, IMAGE_LABEL)]
     return (f"nothing reads the key {', '.join(unread_keys)}",) if unread_keys else ()
-
-
-def _blocks(root: Block) -> list[Block]:
-    return [root, *(block for block in root.blocks if block.name == "image")]
 
 
 def _require_pixels(root: Block, label: LineScanLabel) -> None:

@@ -49,11 +49,6 @@ def zeros(size: int) -> Any:
     return values
 
 
-def _of_plain_numbers(model: Model) -> Model:
-    """The same, whose types are those for which kernels are compiled."""
-    return Model(int(model.line), int(model.angles), int(model.loss), float(model.width))
-
-
 class Workspace:
     """Room on the device that the sweeps of all partitions take in turn: memory that is asked for once.
 
@@ -101,7 +96,9 @@ class Partition:
         self, rows: Rows, groups: Groups, target: NormalBlocks, model: Model, deterministic: bool = False
     ) -> None:
         self._rows, self._groups, self._target = rows, groups, target
-        self.model, self._deterministic = _of_plain_numbers(model), deterministic
+        self._deterministic = deterministic
+        # plain numbers, for whose types kernels are compiled
+        self.model = Model(int(model.line), int(model.angles), int(model.loss), float(model.width))
         self._tables, self._coupling = make_tables(rows, groups, target, model)
         self._jobs: dict[bool, Any] = {}
         self._arrays: _Arrays | None = None

@@ -369,7 +369,7 @@ def gridded(
     """
     if not (np.isfinite(spacing) and spacing > 0.0 and np.isfinite(window) and window > 0.0):
         raise InputError("terrain model", f"points every {spacing} m, windows of {window} m", "positive numbers")
-    parts = _parts(grid.post / spacing)
+    parts = 1 + 2 * max(round((grid.post / spacing - 1.0) / 2.0), 0)  # odd, so that posts stay in the middle
     finer = replace(grid, post=grid.post / parts, rows=parts * grid.rows, columns=parts * grid.columns)
     posts = _fitted(points, finer, spacing, window, workers, progress)
     height, variance, orientation, count, excess, freedom, squares = np.moveaxis(posts, 2, 0)
@@ -383,11 +383,6 @@ def gridded(
         where = f"terrain model with posts every {grid.post:g} m"
         raise InputError(where, few, "points on all sides", "give a smaller --post, or images that match better")
     return HeightGrid(grid, height, matching, orientation, count)
-
-
-def _parts(ratio: float) -> int:
-    """Number of posts, odd, into which a post is divided; `ratio` is its width over the distance of points."""
-    return 1 + 2 * max(round((ratio - 1.0) / 2.0), 0)
 
 
 def _fitted(
