@@ -21,7 +21,7 @@ from hashlib import file_digest, sha256
 from itertools import chain, pairwise
 from pathlib import Path
 from platform import node
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -42,6 +42,7 @@ from mgsgraph.files.labels.isis_cube import (
     attitude_table,
     cube_files,
     detached_file,
+    is_cube_json,
     read_isis_cube,
     tables_of_json,
     tables_of_label,
@@ -49,6 +50,7 @@ from mgsgraph.files.labels.isis_cube import (
 from mgsgraph.files.opening import ANY_SIZE, opened, read_json, sha256_of
 from mgsgraph.files.output.folders import PROGRAM
 from mgsgraph.files.pvl import Block, Value, keyword_lines, read_label, text_value
+from mgsgraph.files.support_data.isd import read_isd
 from mgsgraph.files.writing import account, fresh_file, write_file, writing_to
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage
@@ -214,13 +216,19 @@ def _with_json(path: Path, folder: Path, tables: _Tables, instrument: int, words
     content = read_json(path)
     (_, turned), (_, moved) = tables[_POINTING], tables[_POSITION]
     attitudes = {"quaternions": turned[:, :4].tolist(), "angular_velocities": turned[:, 4:7].tolist()}
-    content["instrument_pointing"] |= attitudes | {"ephemeris_times": turned[:, 7].tolist()}
+    content["instrument_pointing"] |= attitudes | _times_as_json("ck", turned[:, 7])
     places = {"positions": moved[:, :3].tolist(), "velocities": moved[:, 3:6].tolist()}
-    content["instrument_position"] |= places | {"ephemeris_times": moved[:, 6].tolist()}
+    content["instrument_position"] |= places | _times_as_json("spk", moved[:, 6])
     kept = {key: value for key, value in content["naif_keywords"].items() if "LIGHTTIME_CORR" not in key.upper()}
     content |= {"naif_keywords": kept | {f"INS{instrument}_LIGHTTIME_CORRECTION": "NONE"}, PROGRAM: words}
     write_file(folder / path.name, json.dumps(content, indent=1, allow_nan=False))
     return [(folder / path.name, path)]
+
+
+def _times_as_json(kind: str, times: Array) -> dict[str, Any]:
+    """Of a table, and what it says of them."""
+    said = {"start_time": float(times[0]), "end_time": float(times[-1]), "original_size": times.size}
+    return {"ephemeris_times": times.tolist(), **{f"{kind}_table_{key}": value for key, value in said.items()}}
 
 
 def _with_blobs(path: Path, root: Block, folder: Path, tables: _Tables, time: str, words: str) -> _New:
@@ -370,8 +378,13 @@ def is_changed(cube: PushbroomImage, solution: Solution, j: int) -> bool:
 
 
 def _compared(path: Path, image: PushbroomImage, correction: OrientationCorrection) -> float:
-    """px, the copy's camera from the solution's; InputError where it is too far from it."""
-    largest = _distance(read_isis_cube(path, image.name), image, correction)
+    """px, the copy's camera from the solution's, as a cube and as support data (`isd`) where its JSON can be read as
+    such; InputError where it is too far from it.
+    """
+    cameras, beside = [read_isis_cube(path, image.name)], cube_files(path)[1]
+    if beside and not is_cube_json(read_json(beside)):
+        cameras.append(read_isd(beside, image.name))
+    largest = float(np.max([_distance(camera, image, correction) for camera in cameras]))
     if not largest <= LARGEST:
         raise InputError(str(path), f"a camera {largest:.3g} px off the solution's", f"at most {LARGEST:g} px", _REMEDY)
     return largest

@@ -29,6 +29,7 @@ from mgsgraph.files import writing
 from mgsgraph.files.labels.isis_cube import read_isis_cube
 from mgsgraph.files.labels.labelled_image import read_labelled_image
 from mgsgraph.files.opening import read_json
+from mgsgraph.files.support_data.isd import read_isd
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array
@@ -47,6 +48,7 @@ LABELS = (
     "mro_ctx_b10/B10_013341_1010_XN_79S172W_isis3.lbl",
 )  # fmt: skip
 """Of cubes that lie elsewhere, in each a place for tables."""
+DESCRIBED = ("start_time", "end_time", "original_size")
 WANTED = ("InstrumentPointing", "InstrumentPosition", "BodyRotation")
 PLACE = r"Name += (\w+)\n +StartByte += (\d+)\n +Bytes += \d+\n"
 KINDS = (".bsp", ".bc", ".tf", ".ti", ".tsc", ".tpc", ".tls")
@@ -186,6 +188,12 @@ def test_both_readers_see_the_ground_where_the_solution_does(name: str, shared_d
     if cube.suffix == ".cub":
         assert copy.read_bytes()[65536 : len(before)] == before[65536:]
         assert "# Jigged = 2026-11-30T07:00:00\nObject = Table\n  Name " in label_of(copy)
+    else:
+        made = read_json(copy.with_suffix(".isd"))
+        for table, kind in ((made["instrument_pointing"], "ck"), (made["instrument_position"], "spk")):
+            times, said = table["ephemeris_times"], [table[f"{kind}_table_{key}"] for key in DESCRIBED]
+            assert said == [times[0], times[-1], len(times)]
+        assert "image_lines" not in made or read_isd(copy.with_suffix(".isd"), "mine").lines == solution.image(0).lines
     assert cube.read_bytes() == before
     bias = "once" in (label_of(copy) if cube.suffix == ".cub" else copy.with_suffix(".isd").read_text())
     assert bias == ("moc" in name)
