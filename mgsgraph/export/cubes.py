@@ -93,7 +93,7 @@ _New = list[tuple[Path, Path]]
 
 
 def write_cubes(
-    solution: Solution, folder: Path, sources: Mapping[str, Path], when: datetime
+    solution: Solution, folder: Path, sources: Mapping[str, Path], when: datetime, state: str
 ) -> tuple[list[Path], tuple[str, ...], _New]:
     """Write an adjusted copy of each image's cube into an existing folder, read it back and compare.
 
@@ -107,6 +107,8 @@ def write_cubes(
         By image: its cube, detached label, or label with its tables as JSON beside it.
     when : datetime
         Of the adjustment, for marks and history.
+    state : str
+        The verdict on it, for descriptions.
 
     Returns
     -------
@@ -134,7 +136,7 @@ def write_cubes(
         mapped += [image.name] * is_map_projected(root)
         if folder / source[0].name in paths:
             raise InputError(str(source[0]), f"another image's file called {source[0].name}", "names that differ")
-        words = _description(solution, label.camera.attitude_bias)
+        words = _description(solution, state, label.camera.attitude_bias)
         tables = _adjusted(picture, solution.correction(j), _tables(*source, root))
         if source[1] is not None:
             new = _with_json(source[1], folder, tables, label.camera.instrument, words)
@@ -147,9 +149,8 @@ def write_cubes(
     return paths, tuple(_notes(len(solution.network.images), largest, biased, mapped)), originals
 
 
-def _description(solution: Solution, bias: float) -> str:
+def _description(solution: Solution, state: str, bias: float) -> str:
     """What copies say of themselves."""
-    state = "converged" if solution.converged else "NOT converged"
     once = f"; times hold the attitude bias of {bias:g} s once" if bias else ""
     return f"{PROGRAM} {solution.versions.get(PROGRAM, '')}: adjusted, {state}; positions are geometric{once}"
 

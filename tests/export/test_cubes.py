@@ -21,6 +21,7 @@ from full_disk import files_of_at_most
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation, Slerp
 
+from mgsgraph.analysis.verdict import Cause, Reason, State
 from mgsgraph.errors import InputError
 from mgsgraph.export import cubes as writer
 from mgsgraph.export.cubes import LARGEST, replace_cubes, write_cubes
@@ -35,6 +36,7 @@ from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.rotation import angles_313, from_matrix, unit_vectors
 from mgsgraph.geometry.trajectory import Trajectory
+from mgsgraph.results import verdict as verdicts
 from mgsgraph.results.archive import read_solution
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -71,7 +73,7 @@ def copied(cube: Path, folder: Path, image: PushbroomImage | None = None) -> tup
     """A solution of a cube, and the adjusted copy."""
     solution = adjusted(image or read_isis_cube(cube, "mine"))
     folder.mkdir(exist_ok=True)
-    write_cubes(solution, folder, {solution.image(0).name: cube}, WHEN)
+    write_cubes(solution, folder, {solution.image(0).name: cube}, WHEN, "SUSPECT, converged")
     return solution, folder / cube.name
 
 
@@ -285,9 +287,9 @@ def test_images_without_cubes_and_maps(tmp_path: Path) -> None:
     cube = written(tmp_path, MAPPED)
     solution = adjusted(read_isis_cube(cube))
     with pytest.raises(InputError, match="no ISIS cube of it; expected one; name the case that has it"):
-        write_cubes(solution, tmp_path, {}, WHEN)
+        write_cubes(solution, tmp_path, {}, WHEN, "")
     (tmp_path / "out").mkdir()
-    _, notes, new = write_cubes(solution, tmp_path / "out", {solution.image(0).name: cube}, WHEN)
+    _, notes, new = write_cubes(solution, tmp_path / "out", {solution.image(0).name: cube}, WHEN, "")
     assert new == [(tmp_path / "out" / "image.cub", cube)]
     found = [note.split(": ")[1].split(",")[0] for note in notes[1:]]
     assert found == ["attitude times hold MOC's -1.15 s once", "a map"]
@@ -350,7 +352,7 @@ def test_a_kill_leaves_each_cube_whole(pairs: Any, tmp_path: Path, monkeypatch: 
     assert not list(tmp_path.glob(".*"))
 
 
-def test_the_command_updates_the_cubes_of_the_case(shared_data: Path, tmp_path: Path) -> None:
+def test_the_command_updates_the_cubes_of_the_case(shared_data: Path, tmp_path: Path, monkeypatch: Any) -> None:
     """Adjusted anew, they need no correction any more."""
     for file in (shared_data / "mgs_moc_wa_three").iterdir():
         (tmp_path / file.name).write_bytes(file.read_bytes())
@@ -361,6 +363,14 @@ def test_the_command_updates_the_cubes_of_the_case(shared_data: Path, tmp_path: 
         out = tmp_path / f"{result}-cubes"
         assert call("export", tmp_path / result, "--to", "cubes", "--out", out, "--update") == 0
         assert (out / "cube1.isd").read_bytes() == (tmp_path / "cube1.isd").read_bytes()
+    kept, reason = (tmp_path / "cube1.isd").read_bytes(), Reason(State.INVALID, Cause.SIGMA0, "all", 9.0, "factor")
+    with monkeypatch.context() as patch:
+        patch.setattr(verdicts, "verdict", lambda _: SimpleNamespace(state=State.INVALID, reasons=(reason,)))
+        assert "INVALID, converged" in refusal("export", tmp_path / "second", "--to", "cubes", "--out", out, "--update")
+        assert call("export", tmp_path / "second", "--to", "cubes", "--out", tmp_path / "invalid") == 0
+    assert (tmp_path / "cube1.isd").read_bytes() == kept
+    assert "INVALID" in read_json(tmp_path / "invalid" / "cube1.isd")["mgsgraph"]
+    assert "INVALID" in read_json(tmp_path / "invalid" / "export.json")["notes"][0]
     first, second = (read_solution(tmp_path / result) for result in ("first", "second"))
     assert [np.abs(part.correction(0).coefficients[0, 3:]).max() > 1e-6 for part in (first, second)] == [True, False]
     cube, again = tmp_path / "cube1.isd", ("export", tmp_path / "second", "--to", "cubes", "--out", out, "--update")
