@@ -56,7 +56,7 @@ from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array
-from mgsgraph.text import listed, many
+from mgsgraph.text import listed, many, some
 from mgsgraph.units import KM
 
 _TOLERANCE, LARGEST, _CHANGED = 2e-5, 1e-4, 1e-2
@@ -86,6 +86,17 @@ class _Blob(NamedTuple):
     content: bytes
 
 
+class _Cube(NamedTuple):
+    """Its label, the JSON beside it that has its tables, the label's content, and tables, of which rotations of the
+    body and constant ones stay.
+    """
+
+    label: Path
+    beside: Path | None
+    root: Block
+    tables: dict[str, CubeTable]
+
+
 _Tables = Mapping[str, tuple[tuple[str, ...], Array]]
 """Fields and records by table."""
 _New = list[tuple[Path, Path]]
@@ -95,14 +106,15 @@ _New = list[tuple[Path, Path]]
 def write_cubes(
     solution: Solution, folder: Path, sources: Mapping[str, Path], when: datetime, state: str
 ) -> tuple[list[Path], tuple[str, ...], _New]:
-    """Write an adjusted copy of each image's cube into an existing folder, read it back and compare.
+    """Write an adjusted copy of each image's cube into an existing folder, read it back and compare. Images without a
+    cube that has tables of spiceinit are left out, and named.
 
     Parameters
     ----------
     solution : Solution
         What was adjusted.
     folder : Path
-        Where to; copies are called like their cubes.
+        Where to; copies are called like their cubes, a second one of a name in a folder called by the image's number.
     sources : mapping
         By image: its cube, detached label, or label with its tables as JSON beside it.
     when : datetime
@@ -122,31 +134,36 @@ def write_cubes(
     Raises
     ------
     InputError
-        An image without cube; two cubes of one name; a cube that `read_isis_cube` refuses; a camera that is not the
+        No image with a cube; a cube that `read_isis_cube` refuses; a camera that is not the
         solution's to `LARGEST`, since its constants were adjusted, too; a file that can't be written.
     """
-    paths, originals, biased, mapped, largest = list[Path](), list[tuple[Path, Path]](), list[str](), list[str](), 0.0
-    for j, image in enumerate(solution.network.images):
-        if image.name not in sources:
-            raise InputError(f"image {image.name}", "no ISIS cube of it", "one", "name the case that has it (--case)")
-        source = cube_files(sources[image.name])
-        root = read_label(source[0])
-        label, picture = label_of(source[0], root), solution.image(j)
-        biased += [image.name] * (label.camera.attitude_bias != 0.0)
-        mapped += [image.name] * is_map_projected(root)
-        if folder / source[0].name in paths:
-            raise InputError(str(source[0]), f"another image's file called {source[0].name}", "names that differ")
+    paths, originals, biased, mapped, without = list[Path](), _New(), list[str](), list[str](), list[str]()
+    largest, names = 0.0, [image.name for image in solution.network.images]
+    for j, name in enumerate(names):
+        cube = _cube(sources[name]) if name in sources else None
+        if cube is None:
+            without.append(name)
+            continue
+        label, picture, correction = label_of(cube.label, cube.root), solution.image(j), solution.correction(j)
+        biased += [name] * (label.camera.attitude_bias != 0.0)
+        mapped += [name] * is_map_projected(cube.root)
+        files = _files_of(cube)
+        place = folder / str(j + 1) if any(folder / file.name in paths for file in {cube.label, *files}) else folder
+        place.mkdir(exist_ok=True)
         words = _description(solution, state, label.camera.attitude_bias)
-        tables = _adjusted(picture, solution.correction(j), _tables(*source, root))
-        if source[1] is not None:
-            new = _with_json(source[1], folder, tables, label.camera.instrument, words)
+        tables = _adjusted(picture, correction, cube.tables)
+        if cube.beside is not None:
+            new = _with_json(cube.beside, place, tables, label.camera.instrument, words)
         else:
-            new = _with_blobs(source[0], root, folder, tables, f"{when:%Y-%m-%dT%H:%M:%S}", words)
-        paths += [Path(shutil.copyfile(file, folder / file.name)) for file in _files_of(*source, root)]
+            new = _with_blobs(cube.label, cube.root, place, tables, f"{when:%Y-%m-%dT%H:%M:%S}", words)
+        paths += [Path(shutil.copyfile(file, place / file.name)) for file in files]
         paths += [copy for copy, _ in new]
         originals += new
-        largest = max(largest, _compared(folder / source[0].name, picture, solution.correction(j)))
-    return paths, tuple(_notes(len(solution.network.images), largest, biased, mapped)), originals
+        largest = max(largest, _compared(place / cube.label.name, picture, correction))
+    if not paths:
+        found = f"no ISIS cube with tables of spiceinit of {some(names, len(names))}"
+        raise InputError("export to cubes", found, "one of any image", "name the case that has them (--case)")
+    return paths, tuple(_notes(len(names), without, largest, biased, mapped)), originals
 
 
 def _description(solution: Solution, state: str, bias: float) -> str:
@@ -155,8 +172,12 @@ def _description(solution: Solution, state: str, bias: float) -> str:
     return f"{PROGRAM} {solution.versions.get(PROGRAM, '')}: adjusted, {state}; positions are geometric{once}"
 
 
-def _notes(count: int, largest: float, biased: list[str], mapped: list[str]) -> Iterator[str]:
-    yield f"Read back, {many(count, 'camera')} see 25 pixels within {largest:.1g} px of where the solution has them."
+def _notes(count: int, without: list[str], largest: float, biased: list[str], mapped: list[str]) -> Iterator[str]:
+    read = many(count - len(without), "camera")
+    yield f"Read back, 25 pixels of {read} fall within {largest:.1g} px of where the solution has them."
+    if without:
+        left = f"{len(without)} of {many(count, 'image')}, {some(without, len(without))}"
+        yield f"Left out, as the case names no ISIS cube with tables of spiceinit of them: {left}."
     if biased:
         yield f"{listed(biased)}: attitude times hold MOC's -1.15 s once, as before; ISIS adds none to tables."
     if mapped:
@@ -166,12 +187,13 @@ def _notes(count: int, largest: float, biased: list[str], mapped: list[str]) -> 
 # --- tables
 
 
-def _tables(path: Path, beside: Path | None, root: Block) -> dict[str, CubeTable]:
-    """The cube's own, whose body rotation and constant rotation stay."""
-    tables = tables_of_json(read_json(beside), str(beside)) if beside else tables_of_label(path, root)
-    if missing := {*_RENEWED_TABLES, "BodyRotation"} - tables.keys():
-        raise InputError(str(path), f"no table {min(missing)}", "those of spiceinit", "run spiceinit with attach=yes")
-    return tables
+def _cube(path: Path) -> _Cube | None:
+    """What is there; None where it is no ISIS cube, or without a table of spiceinit."""
+    label, beside = cube_files(path)
+    if "PDS_VERSION_ID" in (root := read_label(label)):
+        return None
+    tables = tables_of_json(read_json(beside), str(beside)) if beside else tables_of_label(label, root)
+    return _Cube(label, beside, root, tables) if {*_RENEWED_TABLES, "BodyRotation"} <= tables.keys() else None
 
 
 def _adjusted(image: PushbroomImage, correction: OrientationCorrection, tables: dict[str, CubeTable]) -> _Tables:
@@ -340,10 +362,11 @@ def _room(root: Block) -> int:
     return min([block.count("Bytes") for block in root.blocks if block.name == "label"] + starts)
 
 
-def _files_of(path: Path, beside: Path | None, root: Block) -> set[Path]:
+def _files_of(cube: _Cube) -> set[Path]:
     """Files of a cube that stay as they are: the label of JSON, what a detached one names beside the new tables."""
+    path, root = cube.label, cube.root
     kept = [root.inner("IsisCube").inner("Core"), *(block for block in root.blocks if not _is_renewed(block))]
-    return {path} if beside else {detached_file(path, block) for block in kept} - {path}
+    return {path} if cube.beside else {detached_file(path, block) for block in kept} - {path}
 
 
 # --- in place

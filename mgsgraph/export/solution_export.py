@@ -281,8 +281,8 @@ def _cubes(solution: Solution, folder: Path, settings: ExportSettings, path: Pat
     judged, state = verdict(solution), state_of(solution)
     doubts = [f"The result is {state}: {reason}" for reason in reason_sentences(judged.reasons)[:1]]
     if settings.update and judged.state is State.INVALID:
-        remedy = "mend its input and adjust again, or leave out --update"
-        raise InputError(str(path), f"the{doubts[0][3:].rstrip('.')}", "a valid or SUSPECT one for cubes in place", remedy)
+        found, remedy = f"the{doubts[0][3:].rstrip('.')}", "mend its input and adjust again, or leave out --update"
+        raise InputError(str(path), found, "a valid or SUSPECT one for cubes in place", remedy)
     record, when = _record_of(path)
     case = settings.case or case_of(record.parent)
     if settings.case is None and not case.is_file():
@@ -290,7 +290,7 @@ def _cubes(solution: Solution, folder: Path, settings: ExportSettings, path: Pat
     tables, names = decode(case), [image.name for image in solution.network.images]
     images = [image for image in tables.images if image.cube or image.label]
     for k, entry in enumerate(tables.images if settings.update and not tables.mountings else ()):
-        if entry.cube and entry.name in names:
+        if entry.cube and entry.resection is None and entry.name in names:
             cube, j = tables.orientations[k].nominal_of(image_of(tables, k, case)), names.index(entry.name)
             found, remedy = "a cube that changed since it was adjusted", "adjust it anew, or leave out --update"
             require(not is_changed(cube, solution, j), str(case.parent / entry.cube), found, "as it was", remedy)

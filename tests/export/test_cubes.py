@@ -286,13 +286,29 @@ def test_a_cube_of_another_time_is_refused(shared_data: Path, tmp_path: Path) ->
 def test_images_without_cubes_and_maps(tmp_path: Path) -> None:
     cube = written(tmp_path, MAPPED)
     solution = adjusted(read_isis_cube(cube))
-    with pytest.raises(InputError, match="no ISIS cube of it; expected one; name the case that has it"):
+    with pytest.raises(InputError, match=r"no ISIS cube with tables of spiceinit of .*; name the case that has them"):
         write_cubes(solution, tmp_path, {}, WHEN, "")
     (tmp_path / "out").mkdir()
     _, notes, new = write_cubes(solution, tmp_path / "out", {solution.image(0).name: cube}, WHEN, "")
     assert new == [(tmp_path / "out" / "image.cub", cube)]
     found = [note.split(": ")[1].split(",")[0] for note in notes[1:]]
     assert found == ["attitude times hold MOC's -1.15 s once", "a map"]
+
+
+def test_images_without_cubes_stay_out_and_cubes_may_have_one_name(shared_data: Path, tmp_path: Path) -> None:
+    """A PDS label, a cube without tables, an image that no case names; and a cube of the same name elsewhere."""
+    for folder in ("a", "b", "c", "out"):
+        (tmp_path / folder).mkdir()
+    cubes = [written(tmp_path / folder) for folder in "abc"]
+    bare = label_of(cubes[1]).replace("InstrumentPointing", "Other")
+    cubes[1].write_bytes(bare.encode().ljust(65536, b"\0") + cubes[1].read_bytes()[65536:])
+    one = adjusted(read_isis_cube(cubes[0]))
+    names = [SimpleNamespace(name=name) for name in "apbxc"]
+    solution = SimpleNamespace(**{**vars(one), "network": SimpleNamespace(images=names)})
+    files = dict(zip("apbc", [cubes[0], shared_data / "mgs_moc_pair" / "M0100115.img", *cubes[1:]], strict=True))
+    _, notes, new = write_cubes(solution, tmp_path / "out", files, WHEN, "")
+    assert new == [(tmp_path / "out" / "image.cub", cubes[0]), (tmp_path / "out" / "5" / "image.cub", cubes[2])]
+    assert "3 of 5 images, p, b, x." in notes[1]
 
 
 # --- in place
