@@ -273,10 +273,11 @@ def _gis(solution: Solution, folder: Path, settings: ExportSettings, path: Path)
 
 
 def _cubes(solution: Solution, folder: Path, settings: ExportSettings, path: Path) -> _Written:
+    from mgsgraph.analysis.verdict import State, verdict
     from mgsgraph.case.case_file import decode, image_of
     from mgsgraph.export.cubes import is_changed, write_cubes
     from mgsgraph.results.results import case_of
-    from mgsgraph.results.verdict import State, reason_sentences, state_of, verdict
+    from mgsgraph.results.verdict import reason_sentences, state_of
 
     judged, state = verdict(solution), state_of(solution)
     doubts = [f"The result is {state}: {reason}" for reason in reason_sentences(judged.reasons)[:1]]

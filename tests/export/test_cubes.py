@@ -21,6 +21,7 @@ from full_disk import files_of_at_most
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation, Slerp
 
+from mgsgraph.analysis import verdict as analysis
 from mgsgraph.analysis.verdict import Cause, Reason, State
 from mgsgraph.errors import InputError
 from mgsgraph.export import cubes as writer
@@ -381,7 +382,8 @@ def test_the_command_updates_the_cubes_of_the_case(shared_data: Path, tmp_path: 
         assert (out / "cube1.isd").read_bytes() == (tmp_path / "cube1.isd").read_bytes()
     kept, reason = (tmp_path / "cube1.isd").read_bytes(), Reason(State.INVALID, Cause.SIGMA0, "all", 9.0, "factor")
     with monkeypatch.context() as patch:
-        patch.setattr(verdicts, "verdict", lambda _: SimpleNamespace(state=State.INVALID, reasons=(reason,)))
+        for module in (analysis, verdicts):
+            patch.setattr(module, "verdict", lambda _: SimpleNamespace(state=State.INVALID, reasons=(reason,)))
         assert "INVALID, converged" in refusal("export", tmp_path / "second", "--to", "cubes", "--out", out, "--update")
         assert call("export", tmp_path / "second", "--to", "cubes", "--out", tmp_path / "invalid") == 0
     assert (tmp_path / "cube1.isd").read_bytes() == kept
