@@ -30,14 +30,14 @@ from mgsgraph.files.networks.record import (
     PointType,
 )
 from mgsgraph.files.networks.tie_points import PointKind
-from mgsgraph.files.output.folders import PROGRAM
+from mgsgraph.files.output.folders import PROGRAM, WITHOUT_LASER
 from mgsgraph.files.writing import write_file
 from mgsgraph.geometry.body import target_name
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.network import PointClass
 from mgsgraph.units import ISIS_OFFSET, KM
 
-NETWORK, NETWORK_TEXT, WITHOUT_LASER, LIDAR = "network.net", "network.pvl", "network_without_laser.net", "lidar.json"
+NETWORK, NETWORK_TEXT, LIDAR = "network.net", "network.pvl", "lidar.json"
 """Files of the export beside jigsaw's tables (`bundle_out`)."""
 _TYPES = {
     PointKind.FREE: PointType.FREE, PointKind.CONSTRAINED: PointType.CONSTRAINED, PointKind.FIXED: PointType.FIXED,
