@@ -10,12 +10,13 @@ of cubes have no checksum; their room is what Object = Label says (Cube::writeLa
 """
 
 import json
+import os
 import re
 import shutil
 import stat
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from datetime import datetime
 from hashlib import file_digest, sha256
 from itertools import chain, pairwise
@@ -86,17 +87,6 @@ class _Blob(NamedTuple):
     content: bytes
 
 
-class _Cube(NamedTuple):
-    """Its label, the JSON beside it that has its tables, the label's content, and tables, of which rotations of the
-    body and constant ones stay.
-    """
-
-    label: Path
-    beside: Path | None
-    root: Block
-    tables: dict[str, CubeTable]
-
-
 _Tables = Mapping[str, tuple[tuple[str, ...], Array]]
 """Fields and records by table."""
 _New = list[tuple[Path, Path]]
@@ -134,8 +124,8 @@ def write_cubes(
     Raises
     ------
     InputError
-        No image with a cube; a cube that `read_isis_cube` refuses; a camera that is not the
-        solution's to `LARGEST`, since its constants were adjusted, too; a file that can't be written.
+        No image with a cube; a cube that `read_isis_cube` refuses; a camera that is not the solution's to `LARGEST`,
+        since its constants were adjusted, too; a file that can't be written.
     """
     paths, originals, biased, mapped, without = list[Path](), _New(), list[str](), list[str](), list[str]()
     largest, names = 0.0, [image.name for image in solution.network.images]
@@ -144,22 +134,23 @@ def write_cubes(
         if cube is None:
             without.append(name)
             continue
-        label, picture, correction = label_of(cube.label, cube.root), solution.image(j), solution.correction(j)
+        path, beside, root, own = cube
+        label, picture, correction = label_of(path, root), solution.image(j), solution.correction(j)
         biased += [name] * (label.camera.attitude_bias != 0.0)
-        mapped += [name] * is_map_projected(cube.root)
-        files = _files_of(cube)
-        place = folder / str(j + 1) if any(folder / file.name in paths for file in {cube.label, *files}) else folder
+        mapped += [name] * is_map_projected(root)
+        files = _files_of(path, beside, root)
+        place = folder / str(j + 1) if any(folder / file.name in paths for file in {path, *files}) else folder
         place.mkdir(exist_ok=True)
         words = _description(solution, state, label.camera.attitude_bias)
-        tables = _adjusted(picture, correction, cube.tables)
-        if cube.beside is not None:
-            new = _with_json(cube.beside, place, tables, label.camera.instrument, words)
+        tables = _adjusted(picture, correction, own)
+        if beside is not None:
+            new = _with_json(beside, place, tables, label.camera.instrument, words)
         else:
-            new = _with_blobs(cube.label, cube.root, place, tables, f"{when:%Y-%m-%dT%H:%M:%S}", words)
+            new = _with_blobs(path, root, place, tables, f"{when:%Y-%m-%dT%H:%M:%S}", words)
         paths += [Path(shutil.copyfile(file, place / file.name)) for file in files]
         paths += [copy for copy, _ in new]
         originals += new
-        largest = max(largest, _compared(place / cube.label.name, picture, correction))
+        largest = max(largest, _compared(place / path.name, picture, correction))
     if not paths:
         found = f"no ISIS cube with tables of spiceinit of {some(names, len(names))}"
         raise InputError("export to cubes", found, "one of any image", "name the case that has them (--case)")
@@ -187,13 +178,15 @@ def _notes(count: int, without: list[str], largest: float, biased: list[str], ma
 # --- tables
 
 
-def _cube(path: Path) -> _Cube | None:
-    """What is there; None where it is no ISIS cube, or without a table of spiceinit."""
+def _cube(path: Path) -> tuple[Path, Path | None, Block, dict[str, CubeTable]] | None:
+    """Label, JSON of tables beside it, the label's content, and tables, of which BodyRotation and constant rotations
+    stay; None where it is no ISIS cube, or without a table of spiceinit.
+    """
     label, beside = cube_files(path)
     if "PDS_VERSION_ID" in (root := read_label(label)):
         return None
     tables = tables_of_json(read_json(beside), str(beside)) if beside else tables_of_label(label, root)
-    return _Cube(label, beside, root, tables) if {*_RENEWED_TABLES, "BodyRotation"} <= tables.keys() else None
+    return (label, beside, root, tables) if {*_RENEWED_TABLES, "BodyRotation"} <= tables.keys() else None
 
 
 def _adjusted(image: PushbroomImage, correction: OrientationCorrection, tables: dict[str, CubeTable]) -> _Tables:
@@ -362,11 +355,10 @@ def _room(root: Block) -> int:
     return min([block.count("Bytes") for block in root.blocks if block.name == "label"] + starts)
 
 
-def _files_of(cube: _Cube) -> set[Path]:
+def _files_of(path: Path, beside: Path | None, root: Block) -> set[Path]:
     """Files of a cube that stay as they are: the label of JSON, what a detached one names beside the new tables."""
-    path, root = cube.label, cube.root
     kept = [root.inner("IsisCube").inner("Core"), *(block for block in root.blocks if not _is_renewed(block))]
-    return {path} if cube.beside else {detached_file(path, block) for block in kept} - {path}
+    return {path} if beside else {detached_file(path, block) for block in kept} - {path}
 
 
 # --- in place
@@ -387,6 +379,8 @@ def replace_cubes(pairs: Sequence[tuple[Path, Path]]) -> None:
                 raise InputError(str(target), "a write-protected cube", "one to replace", "leave out --update")
             temporary = stack.enter_context(fresh_file(target, "a cube that may be replaced", "leave out --update"))
             shutil.copyfile(copy, temporary)
+            with suppress(OSError, AttributeError):  # not allowed, none there yet, or Windows
+                os.chown(temporary, target.stat().st_uid, target.stat().st_gid)
             shutil.copymode(target if target.exists() else copy, temporary)
             if sha256_of(temporary) != sha256_of(copy):
                 raise InputError(str(target), "a copy that is read back otherwise", f"{copy}, byte for byte")

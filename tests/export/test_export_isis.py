@@ -107,8 +107,7 @@ def test_kinds_covariances_and_rejected_marks(mixed: Solution, tmp_path: Path) -
     freed[:2] = PointKind.FREE  # of ground control: checkpoints
     checked = replace(mixed, network=replace(mixed.network, points=replace(mixed.network.points, kinds=freed)))
     for check, point in zip(adjusted_network(checked).points, (constrained, fixed), strict=False):
-        assert check.type == point.type
-        assert (check.apriori, check.apriori_covariance) == (point.apriori, point.apriori_covariance)
+        assert all(getattr(check, key) == getattr(point, key) for key in ("type", "apriori", "apriori_covariance"))
     assert len(adjusted_network(checked).points[1].adjusted_covariance) == 6
     assert undetermined.adjusted is None
     assert undetermined.jigsaw_rejected
