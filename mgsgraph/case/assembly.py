@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from mgsgraph.case.schema import AltimetryInput, LaserInput, ShotsInput, TerrainInput
 from mgsgraph.errors import InputError, require
 from mgsgraph.files.networks.tie_points import PointKind, TiePoints
+from mgsgraph.files.output.folders import WITHOUT_LASER
 from mgsgraph.geometry.altimetry import (
     AltimeterShots,
     AltimetryCloud,
@@ -356,10 +357,11 @@ class Parts:
     def _ids(self) -> Names:
         """Ids of all points; InputError where two files have one."""
         ids = Names.concatenated([names for _, names in self._names])
-        if (repeated := ids.first_repeated) is not None:
-            name = ids[repeated]
-            holders = [source for source, names in self._names if names.find([name])[0] >= 0]
-            raise InputError(holders[-1], f"the id {name!r}, which {holders[0]} has too", "each id once")
+        if (k := ids.first_repeated) is not None:
+            holders = [source for source, names in self._names if names.find([ids[k]])[0] >= 0]
+            found, other = f"the id {ids[k]!r}, which {holders[0]} has too", Path(holders[0]).with_name(WITHOUT_LASER)
+            better = other if other.is_file() and str(other) not in holders else "the network without laser points"
+            raise InputError(holders[-1], found, "each id once", f"name {better}, or take it out of one")
         return ids
 
     def _image(self, name: str, where: str) -> int:

@@ -10,18 +10,19 @@ of cubes have no checksum; their room is what Object = Label says (Cube::writeLa
 """
 
 import json
+import os
 import re
 import shutil
 import stat
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from datetime import datetime
 from hashlib import file_digest, sha256
 from itertools import chain, pairwise
 from pathlib import Path
 from platform import node
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -42,6 +43,7 @@ from mgsgraph.files.labels.isis_cube import (
     attitude_table,
     cube_files,
     detached_file,
+    is_cube_json,
     read_isis_cube,
     tables_of_json,
     tables_of_label,
@@ -49,12 +51,13 @@ from mgsgraph.files.labels.isis_cube import (
 from mgsgraph.files.opening import ANY_SIZE, opened, read_json, sha256_of
 from mgsgraph.files.output.folders import PROGRAM
 from mgsgraph.files.pvl import Block, Value, keyword_lines, read_label, text_value
+from mgsgraph.files.support_data.isd import read_isd
 from mgsgraph.files.writing import account, fresh_file, write_file, writing_to
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array
-from mgsgraph.text import listed, many
+from mgsgraph.text import listed, many, some
 from mgsgraph.units import KM
 
 _TOLERANCE, LARGEST, _CHANGED = 2e-5, 1e-4, 1e-2
@@ -91,20 +94,23 @@ _New = list[tuple[Path, Path]]
 
 
 def write_cubes(
-    solution: Solution, folder: Path, sources: Mapping[str, Path], when: datetime
+    solution: Solution, folder: Path, sources: Mapping[str, Path], when: datetime, state: str
 ) -> tuple[list[Path], tuple[str, ...], _New]:
-    """Write an adjusted copy of each image's cube into an existing folder, read it back and compare.
+    """Write an adjusted copy of each image's cube into an existing folder, read it back and compare. Images without a
+    cube that has tables of spiceinit are left out, and named.
 
     Parameters
     ----------
     solution : Solution
         What was adjusted.
     folder : Path
-        Where to; copies are called like their cubes.
+        Where to; copies are called like their cubes, a second one of a name in a folder called by the image's number.
     sources : mapping
         By image: its cube, detached label, or label with its tables as JSON beside it.
     when : datetime
         Of the adjustment, for marks and history.
+    state : str
+        The verdict on it, for descriptions.
 
     Returns
     -------
@@ -118,42 +124,51 @@ def write_cubes(
     Raises
     ------
     InputError
-        An image without cube; two cubes of one name; a cube that `read_isis_cube` refuses; a camera that is not the
-        solution's to `LARGEST`, since its constants were adjusted, too; a file that can't be written.
+        No image with a cube; a cube that `read_isis_cube` refuses; a camera that is not the solution's to `LARGEST`,
+        since its constants were adjusted, too; a file that can't be written.
     """
-    paths, originals, biased, mapped, largest = list[Path](), list[tuple[Path, Path]](), list[str](), list[str](), 0.0
-    for j, image in enumerate(solution.network.images):
-        if image.name not in sources:
-            raise InputError(f"image {image.name}", "no ISIS cube of it", "one", "name the case that has it (--case)")
-        source = cube_files(sources[image.name])
-        root = read_label(source[0])
-        label, picture = label_of(source[0], root), solution.image(j)
-        biased += [image.name] * (label.camera.attitude_bias != 0.0)
-        mapped += [image.name] * is_map_projected(root)
-        if folder / source[0].name in paths:
-            raise InputError(str(source[0]), f"another image's file called {source[0].name}", "names that differ")
-        words = _description(solution, label.camera.attitude_bias)
-        tables = _adjusted(picture, solution.correction(j), _tables(*source, root))
-        if source[1] is not None:
-            new = _with_json(source[1], folder, tables, label.camera.instrument, words)
+    paths, originals, biased, mapped, without = list[Path](), _New(), list[str](), list[str](), list[str]()
+    largest, names = 0.0, [image.name for image in solution.network.images]
+    for j, name in enumerate(names):
+        cube = _cube(sources[name]) if name in sources else None
+        if cube is None:
+            without.append(name)
+            continue
+        path, beside, root, own = cube
+        label, picture, correction = label_of(path, root), solution.image(j), solution.correction(j)
+        biased += [name] * (label.camera.attitude_bias != 0.0)
+        mapped += [name] * is_map_projected(root)
+        files = _files_of(path, beside, root)
+        place = folder / str(j + 1) if any(folder / file.name in paths for file in {path, *files}) else folder
+        place.mkdir(exist_ok=True)
+        words = _description(solution, state, label.camera.attitude_bias)
+        tables = _adjusted(picture, correction, own)
+        if beside is not None:
+            new = _with_json(beside, place, tables, label.camera.instrument, words)
         else:
-            new = _with_blobs(source[0], root, folder, tables, f"{when:%Y-%m-%dT%H:%M:%S}", words)
-        paths += [Path(shutil.copyfile(file, folder / file.name)) for file in _files_of(*source, root)]
+            new = _with_blobs(path, root, place, tables, f"{when:%Y-%m-%dT%H:%M:%S}", words)
+        paths += [Path(shutil.copyfile(file, place / file.name)) for file in files]
         paths += [copy for copy, _ in new]
         originals += new
-        largest = max(largest, _compared(folder / source[0].name, picture, solution.correction(j)))
-    return paths, tuple(_notes(len(solution.network.images), largest, biased, mapped)), originals
+        largest = max(largest, _compared(place / path.name, picture, correction))
+    if not paths:
+        found = f"no ISIS cube with tables of spiceinit of {some(names, len(names))}"
+        raise InputError("export to cubes", found, "one of any image", "name the case that has them (--case)")
+    return paths, tuple(_notes(len(names), without, largest, biased, mapped)), originals
 
 
-def _description(solution: Solution, bias: float) -> str:
+def _description(solution: Solution, state: str, bias: float) -> str:
     """What copies say of themselves."""
-    state = "converged" if solution.converged else "NOT converged"
     once = f"; times hold the attitude bias of {bias:g} s once" if bias else ""
     return f"{PROGRAM} {solution.versions.get(PROGRAM, '')}: adjusted, {state}; positions are geometric{once}"
 
 
-def _notes(count: int, largest: float, biased: list[str], mapped: list[str]) -> Iterator[str]:
-    yield f"Read back, {many(count, 'camera')} see 25 pixels within {largest:.1g} px of where the solution has them."
+def _notes(count: int, without: list[str], largest: float, biased: list[str], mapped: list[str]) -> Iterator[str]:
+    read = many(count - len(without), "camera")
+    yield f"Read back, 25 pixels of {read} fall within {largest:.1g} px of where the solution has them."
+    if without:
+        left = f"{len(without)} of {many(count, 'image')}, {some(without, len(without))}"
+        yield f"Left out, as the case names no ISIS cube with tables of spiceinit of them: {left}."
     if biased:
         yield f"{listed(biased)}: attitude times hold MOC's -1.15 s once, as before; ISIS adds none to tables."
     if mapped:
@@ -163,12 +178,15 @@ def _notes(count: int, largest: float, biased: list[str], mapped: list[str]) -> 
 # --- tables
 
 
-def _tables(path: Path, beside: Path | None, root: Block) -> dict[str, CubeTable]:
-    """The cube's own, whose body rotation and constant rotation stay."""
-    tables = tables_of_json(read_json(beside), str(beside)) if beside else tables_of_label(path, root)
-    if missing := {*_RENEWED_TABLES, "BodyRotation"} - tables.keys():
-        raise InputError(str(path), f"no table {min(missing)}", "those of spiceinit", "run spiceinit with attach=yes")
-    return tables
+def _cube(path: Path) -> tuple[Path, Path | None, Block, dict[str, CubeTable]] | None:
+    """Label, JSON of tables beside it, the label's content, and tables, of which BodyRotation and constant rotations
+    stay; None where it is no ISIS cube, or without a table of spiceinit.
+    """
+    label, beside = cube_files(path)
+    if "PDS_VERSION_ID" in (root := read_label(label)):
+        return None
+    tables = tables_of_json(read_json(beside), str(beside)) if beside else tables_of_label(label, root)
+    return (label, beside, root, tables) if {*_RENEWED_TABLES, "BodyRotation"} <= tables.keys() else None
 
 
 def _adjusted(image: PushbroomImage, correction: OrientationCorrection, tables: dict[str, CubeTable]) -> _Tables:
@@ -214,13 +232,19 @@ def _with_json(path: Path, folder: Path, tables: _Tables, instrument: int, words
     content = read_json(path)
     (_, turned), (_, moved) = tables[_POINTING], tables[_POSITION]
     attitudes = {"quaternions": turned[:, :4].tolist(), "angular_velocities": turned[:, 4:7].tolist()}
-    content["instrument_pointing"] |= attitudes | {"ephemeris_times": turned[:, 7].tolist()}
+    content["instrument_pointing"] |= attitudes | _times_as_json("ck", turned[:, 7])
     places = {"positions": moved[:, :3].tolist(), "velocities": moved[:, 3:6].tolist()}
-    content["instrument_position"] |= places | {"ephemeris_times": moved[:, 6].tolist()}
+    content["instrument_position"] |= places | _times_as_json("spk", moved[:, 6])
     kept = {key: value for key, value in content["naif_keywords"].items() if "LIGHTTIME_CORR" not in key.upper()}
     content |= {"naif_keywords": kept | {f"INS{instrument}_LIGHTTIME_CORRECTION": "NONE"}, PROGRAM: words}
     write_file(folder / path.name, json.dumps(content, indent=1, allow_nan=False))
     return [(folder / path.name, path)]
+
+
+def _times_as_json(kind: str, times: Array) -> dict[str, Any]:
+    """Of a table, and what it says of them."""
+    said = {"start_time": float(times[0]), "end_time": float(times[-1]), "original_size": times.size}
+    return {"ephemeris_times": times.tolist(), **{f"{kind}_table_{key}": value for key, value in said.items()}}
 
 
 def _with_blobs(path: Path, root: Block, folder: Path, tables: _Tables, time: str, words: str) -> _New:
@@ -355,6 +379,8 @@ def replace_cubes(pairs: Sequence[tuple[Path, Path]]) -> None:
                 raise InputError(str(target), "a write-protected cube", "one to replace", "leave out --update")
             temporary = stack.enter_context(fresh_file(target, "a cube that may be replaced", "leave out --update"))
             shutil.copyfile(copy, temporary)
+            with suppress(OSError, AttributeError):  # not allowed, none there yet, or Windows
+                os.chown(temporary, target.stat().st_uid, target.stat().st_gid)
             shutil.copymode(target if target.exists() else copy, temporary)
             if sha256_of(temporary) != sha256_of(copy):
                 raise InputError(str(target), "a copy that is read back otherwise", f"{copy}, byte for byte")
@@ -370,8 +396,13 @@ def is_changed(cube: PushbroomImage, solution: Solution, j: int) -> bool:
 
 
 def _compared(path: Path, image: PushbroomImage, correction: OrientationCorrection) -> float:
-    """px, the copy's camera from the solution's; InputError where it is too far from it."""
-    largest = _distance(read_isis_cube(path, image.name), image, correction)
+    """px, the copy's camera from the solution's, as a cube and as support data (`isd`) where its JSON can be read as
+    such; InputError where it is too far from it.
+    """
+    cameras, beside = [read_isis_cube(path, image.name)], cube_files(path)[1]
+    if beside and not is_cube_json(read_json(beside)):
+        cameras.append(read_isd(beside, image.name))
+    largest = float(np.max([_distance(camera, image, correction) for camera in cameras]))
     if not largest <= LARGEST:
         raise InputError(str(path), f"a camera {largest:.3g} px off the solution's", f"at most {LARGEST:g} px", _REMEDY)
     return largest

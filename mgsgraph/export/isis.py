@@ -30,14 +30,14 @@ from mgsgraph.files.networks.record import (
     PointType,
 )
 from mgsgraph.files.networks.tie_points import PointKind
-from mgsgraph.files.output.folders import PROGRAM
+from mgsgraph.files.output.folders import PROGRAM, WITHOUT_LASER
 from mgsgraph.files.writing import write_file
 from mgsgraph.geometry.body import target_name
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.network import PointClass
 from mgsgraph.units import ISIS_OFFSET, KM
 
-NETWORK, NETWORK_TEXT, WITHOUT_LASER, LIDAR = "network.net", "network.pvl", "network_without_laser.net", "lidar.json"
+NETWORK, NETWORK_TEXT, LIDAR = "network.net", "network.pvl", "lidar.json"
 """Files of the export beside jigsaw's tables (`bundle_out`)."""
 _TYPES = {
     PointKind.FREE: PointType.FREE, PointKind.CONSTRAINED: PointType.CONSTRAINED, PointKind.FIXED: PointType.FIXED,
@@ -113,7 +113,8 @@ def adjusted_network(
     """The control network of a solution: points that have a measure, in the solution's order.
 
     A point that nothing determines has no adjusted place; it and one whose measures were all rejected are marked
-    rejected. A free point without a-priori place gets the nominal intersection of its rays.
+    rejected. A free point without a-priori place gets the nominal intersection of its rays; a checkpoint has the type
+    and known place that it was read with.
 
     Parameters
     ----------
@@ -137,13 +138,16 @@ def adjusted_network(
     require(indices, f"solution {solution.name!r}", "no point that is measured in an image", "some for a network")
     factor, rejected = covariance_factor(solution, scaled), rejected_points(solution).tolist()
     measures, body = _measures(solution), network.images[0].body
-    prior = _triangles(network.independent.points.covariances, network.points.kinds == PointKind.CONSTRAINED)
+    kinds, known = network.points.kinds.copy(), network.independent.points.covariances
+    checks = network.points.checkpoints
+    kinds[checks] = np.where(known[checks].any(axis=(1, 2)), int(PointKind.CONSTRAINED), int(PointKind.FIXED))
+    prior = _triangles(known, kinds == PointKind.CONSTRAINED)
     free = network.points.kinds != PointKind.FIXED
     adjusted = _triangles(solution.covariances * factor, solution.determined & free)
     stated, first, after = (_places(p) for p in (network.points.places, solution.places_before, solution.places))
     points = []
     for i in indices:
-        kind = PointKind(int(network.points.kinds[i]))
+        kind = PointKind(int(kinds[i]))
         constrained, intersected = kind == PointKind.CONSTRAINED, stated[i] is None and first[i] is not None
         points.append(ControlPoint(
             id=network.points.ids[i], type=_TYPES[kind], measures=tuple(measures[i]), chooser_name=PROGRAM,

@@ -128,8 +128,6 @@ def exporting(path: Path, target: Target, out: Path, settings: ExportSettings) -
     require_supported((target,), settings)
     _require_same_target(out, target)
     solution = read_solution(path)
-    if settings.update and not solution.converged:
-        raise InputError(str(path), "a solution that did NOT converge", "one for cubes in place", "leave out --update")
     with fresh_folder(out, EXPORT) as temporary, _called_as_asked(temporary, out):
         output = _WRITERS[target](solution, temporary, settings, path)
         if any(original.resolve().parent == out.resolve() for _, original in output.originals):
@@ -275,10 +273,17 @@ def _gis(solution: Solution, folder: Path, settings: ExportSettings, path: Path)
 
 
 def _cubes(solution: Solution, folder: Path, settings: ExportSettings, path: Path) -> _Written:
+    from mgsgraph.analysis.verdict import State, verdict
     from mgsgraph.case.case_file import decode, image_of
     from mgsgraph.export.cubes import is_changed, write_cubes
     from mgsgraph.results.results import case_of
+    from mgsgraph.results.verdict import reason_sentences, state_of
 
+    judged, state = verdict(solution), state_of(solution)
+    doubts = [f"The result is {state}: {reason}" for reason in reason_sentences(judged.reasons)[:1]]
+    if settings.update and judged.state is State.INVALID:
+        found, remedy = f"the{doubts[0][3:].rstrip('.')}", "mend its input and adjust again, or leave out --update"
+        raise InputError(str(path), found, "a valid or SUSPECT one for cubes in place", remedy)
     record, when = _record_of(path)
     case = settings.case or case_of(record.parent)
     if settings.case is None and not case.is_file():
@@ -286,13 +291,14 @@ def _cubes(solution: Solution, folder: Path, settings: ExportSettings, path: Pat
     tables, names = decode(case), [image.name for image in solution.network.images]
     images = [image for image in tables.images if image.cube or image.label]
     for k, entry in enumerate(tables.images if settings.update and not tables.mountings else ()):
-        if entry.cube and entry.name in names:
+        if entry.cube and entry.resection is None and entry.name in names:
             cube, j = tables.orientations[k].nominal_of(image_of(tables, k, case)), names.index(entry.name)
             found, remedy = "a cube that changed since it was adjusted", "adjust it anew, or leave out --update"
             require(not is_changed(cube, solution, j), str(case.parent / entry.cube), found, "as it was", remedy)
     files = {image.name: case.parent / str(image.cube or image.label) for image in images}
-    paths, notes, new = write_cubes(solution, folder, files, when)
-    return _Written(paths, (*notes, *["Each copy takes the place of its cube, too."] * settings.update), new)
+    paths, notes, new = write_cubes(solution, folder, files, when, state)
+    placed = ["Each copy takes the place of its cube, too."] * settings.update
+    return _Written(paths, (*doubts, *notes, *placed), new)
 
 
 _WRITERS: dict[Target, Callable[[Solution, Path, ExportSettings, Path], _Written]] = {

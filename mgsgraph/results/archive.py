@@ -317,6 +317,7 @@ def read_solution(path: str | Path) -> "Solution":
     path = Path(path)
     path = path / ARCHIVE if path.is_dir() else path
     require(path.exists(), str(path), "no such file", remedy=_READJUST)
+    require(path.suffix != ".toml", str(path), "a case file", "RESULT, a folder that mgsgraph adjust wrote")
     where = str(path)
     with errors_from(where), understood(where, "an archive of mgsgraph", _READJUST), opened(path, _LARGEST) as file:
         arrays = read_members(file)

@@ -21,6 +21,8 @@ from full_disk import files_of_at_most
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation, Slerp
 
+from mgsgraph.analysis import verdict as analysis
+from mgsgraph.analysis.verdict import Cause, Reason, State
 from mgsgraph.errors import InputError
 from mgsgraph.export import cubes as writer
 from mgsgraph.export.cubes import LARGEST, replace_cubes, write_cubes
@@ -47,6 +49,7 @@ LABELS = (
     "mro_ctx_b10/B10_013341_1010_XN_79S172W_isis3.lbl",
 )  # fmt: skip
 """Of cubes that lie elsewhere, in each a place for tables."""
+DESCRIBED = ("start_time", "end_time", "original_size")
 WANTED = ("InstrumentPointing", "InstrumentPosition", "BodyRotation")
 PLACE = r"Name += (\w+)\n +StartByte += (\d+)\n +Bytes += \d+\n"
 KINDS = (".bsp", ".bc", ".tf", ".ti", ".tsc", ".tpc", ".tls")
@@ -69,7 +72,7 @@ def copied(cube: Path, folder: Path, image: PushbroomImage | None = None) -> tup
     """A solution of a cube, and the adjusted copy."""
     solution = adjusted(image or read_isis_cube(cube, "mine"))
     folder.mkdir(exist_ok=True)
-    write_cubes(solution, folder, {solution.image(0).name: cube}, WHEN)
+    write_cubes(solution, folder, {solution.image(0).name: cube}, WHEN, "SUSPECT, converged")
     return solution, folder / cube.name
 
 
@@ -186,6 +189,11 @@ def test_both_readers_see_the_ground_where_the_solution_does(name: str, shared_d
     if cube.suffix == ".cub":
         assert copy.read_bytes()[65536 : len(before)] == before[65536:]
         assert "# Jigged = 2026-11-30T07:00:00\nObject = Table\n  Name " in label_of(copy)
+    else:
+        made = read_json(copy.with_suffix(".isd"))
+        for table, kind in ((made["instrument_pointing"], "ck"), (made["instrument_position"], "spk")):
+            first, *_, last = times = table["ephemeris_times"]
+            assert [table[f"{kind}_table_{key}"] for key in DESCRIBED] == [first, last, len(times)]
     assert cube.read_bytes() == before
     bias = "once" in (label_of(copy) if cube.suffix == ".cub" else copy.with_suffix(".isd").read_text())
     assert bias == ("moc" in name)
@@ -276,13 +284,29 @@ def test_a_cube_of_another_time_is_refused(shared_data: Path, tmp_path: Path) ->
 def test_images_without_cubes_and_maps(tmp_path: Path) -> None:
     cube = written(tmp_path, MAPPED)
     solution = adjusted(read_isis_cube(cube))
-    with pytest.raises(InputError, match="no ISIS cube of it; expected one; name the case that has it"):
-        write_cubes(solution, tmp_path, {}, WHEN)
+    with pytest.raises(InputError, match=r"no ISIS cube with tables of spiceinit of .*; name the case that has them"):
+        write_cubes(solution, tmp_path, {}, WHEN, "")
     (tmp_path / "out").mkdir()
-    _, notes, new = write_cubes(solution, tmp_path / "out", {solution.image(0).name: cube}, WHEN)
+    _, notes, new = write_cubes(solution, tmp_path / "out", {solution.image(0).name: cube}, WHEN, "")
     assert new == [(tmp_path / "out" / "image.cub", cube)]
     found = [note.split(": ")[1].split(",")[0] for note in notes[1:]]
     assert found == ["attitude times hold MOC's -1.15 s once", "a map"]
+
+
+def test_images_without_cubes_stay_out_and_cubes_may_have_one_name(shared_data: Path, tmp_path: Path) -> None:
+    """A PDS label, a cube without tables, an image that no case names; and a cube of the same name elsewhere."""
+    for folder in ("a", "b", "c", "out"):
+        (tmp_path / folder).mkdir()
+    cubes = [written(tmp_path / folder) for folder in "abc"]
+    bare = label_of(cubes[1]).replace("InstrumentPointing", "Other")
+    cubes[1].write_bytes(bare.encode().ljust(65536, b"\0") + cubes[1].read_bytes()[65536:])
+    one = adjusted(read_isis_cube(cubes[0]))
+    names = [SimpleNamespace(name=name) for name in "apbxc"]
+    solution = SimpleNamespace(**{**vars(one), "network": SimpleNamespace(images=names)})
+    files = dict(zip("apbc", [cubes[0], shared_data / "mgs_moc_pair" / "M0100115.img", *cubes[1:]], strict=True))
+    _, notes, new = write_cubes(solution, tmp_path / "out", files, WHEN, "")
+    assert new == [(tmp_path / "out" / "image.cub", cubes[0]), (tmp_path / "out" / "5" / "image.cub", cubes[2])]
+    assert "3 of 5 images, p, b, x." in notes[1]
 
 
 # --- in place
@@ -315,6 +339,11 @@ def test_a_write_protected_cube_stays(pairs: Any) -> None:
     with pytest.raises(InputError, match="a write-protected cube"):
         replace_cubes(made)
     assert held() == before
+    made[1][1].chmod(0o640)
+    os.chown(made[1][1], *((12345, 54321) if os.geteuid() == 0 else (-1, -1)))
+    owned = [getattr(made[1][1].stat(), key) for key in ("st_uid", "st_gid", "st_mode")]
+    replace_cubes(made)
+    assert [getattr(made[1][1].stat(), key) for key in ("st_uid", "st_gid", "st_mode")] == owned
 
 
 @pytest.mark.parametrize("after", [0, 1])
@@ -342,7 +371,7 @@ def test_a_kill_leaves_each_cube_whole(pairs: Any, tmp_path: Path, monkeypatch: 
     assert not list(tmp_path.glob(".*"))
 
 
-def test_the_command_updates_the_cubes_of_the_case(shared_data: Path, tmp_path: Path) -> None:
+def test_the_command_updates_the_cubes_of_the_case(shared_data: Path, tmp_path: Path, monkeypatch: Any) -> None:
     """Adjusted anew, they need no correction any more."""
     for file in (shared_data / "mgs_moc_wa_three").iterdir():
         (tmp_path / file.name).write_bytes(file.read_bytes())
@@ -353,6 +382,13 @@ def test_the_command_updates_the_cubes_of_the_case(shared_data: Path, tmp_path: 
         out = tmp_path / f"{result}-cubes"
         assert call("export", tmp_path / result, "--to", "cubes", "--out", out, "--update") == 0
         assert (out / "cube1.isd").read_bytes() == (tmp_path / "cube1.isd").read_bytes()
+    kept, reason = (tmp_path / "cube1.isd").read_bytes(), Reason(State.INVALID, Cause.SIGMA0, "all", 9.0, "factor")
+    with monkeypatch.context() as patch:
+        patch.setattr(analysis, "_verdict", lambda _: SimpleNamespace(state=State.INVALID, reasons=(reason,)))
+        assert "INVALID, converged" in refusal("export", tmp_path / "second", "--to", "cubes", "--out", out, "--update")
+        assert call("export", tmp_path / "second", "--to", "cubes", "--out", tmp_path / "invalid") == 0
+    assert (tmp_path / "cube1.isd").read_bytes() == kept
+    assert "INVALID" in read_json(tmp_path / "invalid" / "cube1.isd")["mgsgraph"]
     first, second = (read_solution(tmp_path / result) for result in ("first", "second"))
     assert [np.abs(part.correction(0).coefficients[0, 3:]).max() > 1e-6 for part in (first, second)] == [True, False]
     cube, again = tmp_path / "cube1.isd", ("export", tmp_path / "second", "--to", "cubes", "--out", out, "--update")
@@ -370,6 +406,7 @@ def test_the_command_updates_the_cubes_of_the_case(shared_data: Path, tmp_path: 
     case.write_text((tmp_path / "case.toml").read_text().replace('image = "', 'image = "second-cubes/'))
     message = refusal("export", tmp_path / "first", "--to", "cubes", "--case", case, "--out", out)
     assert "cubes of the case lie in it" in message
+    assert "a case file" in refusal("export", tmp_path / "case.toml", "--to", "cubes", "--out", out)
     (tmp_path / "case.toml").unlink()
     assert "name it with --case" in refusal("export", tmp_path / "first", "--to", "cubes", "--out", tmp_path / "gone")
     message = refusal("export", tmp_path / "first", "--to", "csm", "--out", tmp_path / "csm", "--update")

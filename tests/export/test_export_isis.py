@@ -103,6 +103,12 @@ def test_kinds_covariances_and_rejected_marks(mixed: Solution, tmp_path: Path) -
     assert constrained.radius_constrained
     assert fixed.adjusted == fixed.apriori == tuple(mixed.network.points.places[1])
     assert fixed.adjusted_covariance == ()
+    freed = mixed.network.points.kinds.copy()
+    freed[:2] = PointKind.FREE  # of ground control: checkpoints
+    checked = replace(mixed, network=replace(mixed.network, points=replace(mixed.network.points, kinds=freed)))
+    for check, point in zip(adjusted_network(checked).points, (constrained, fixed), strict=False):
+        assert all(getattr(check, key) == getattr(point, key) for key in ("type", "apriori", "apriori_covariance"))
+    assert len(adjusted_network(checked).points[1].adjusted_covariance) == 6
     assert undetermined.adjusted is None
     assert undetermined.jigsaw_rejected
     assert mixed.rays_rejected is not None

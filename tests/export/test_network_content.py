@@ -107,6 +107,8 @@ def test_everything_comes_back(results: Path, case: Case, tmp_path: Path) -> Non
 
 def test_what_is_exported_may_be_adjusted_and_exported_again(results: Path, case: Case, tmp_path: Path) -> None:
     export_solution(results, "isis", tmp_path / "out")
+    with pytest.raises(InputError, match=r"each id once; name .*/out/network_without_laser\.net, or"):
+        mgsgraph.read_case(case.path, ties=tmp_path / "out" / "network.net")
     again = mgsgraph.read_case(case.path, laser=False, ties=tmp_path / "out" / "network_without_laser.net")
     plain = mgsgraph.read_case(case.path, laser=False)
     np.testing.assert_array_equal(again.network.rays.places, plain.network.rays.places)

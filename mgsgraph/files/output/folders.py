@@ -35,6 +35,8 @@ COMPARISON = "comparison.json"
 """File that makes a folder without any of them a comparison of two solutions by this program."""
 EXPORT = "export.json"
 """File that makes a folder without any of them an export by this program; it names all others."""
+WITHOUT_LASER = "network_without_laser.net"
+"""File of an export for ISIS: its network but for the points that are in lidar data, too."""
 COREGISTRATION = "coregistration.json"
 """Record of a registration by relief, beside the solution that makes the folder a result."""
 
