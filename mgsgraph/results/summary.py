@@ -60,9 +60,9 @@ def _fit_sentences(solution: Solution) -> Iterator[str]:
     rays, ranges = ray_statistics(solution), range_statistics(solution)
     line, sample = root_mean_square(rays.rms_of_images, 0).tolist()
     residuals = f"Residuals (rms): {two(line)} px in line, {two(sample)} px in sample ("
-    residuals += f"{network.rays.point.size} image points, {many(len(network.images), 'image')})"
+    residuals += f"{rays.count.sum()} image points, {many(len(network.images), 'image')})"
     if ranges.count:
-        residuals += f"; ranges {two(ranges.rms_before)} -> {two(ranges.rms)} m ({ranges.count})"
+        residuals += f"; ranges {two(ranges.rms_before)} -> {two(ranges.rms)} m ({ranges.used})"
     yield f"{residuals}."
 
 

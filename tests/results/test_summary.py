@@ -88,8 +88,15 @@ def test_laser_in_words(solution: Solution, case: Case) -> None:
 
 def test_losses_in_words(lossy: Solution) -> None:
     assert said(lossy, "1 point of 52 took no part", lossy.network.points.ids[1])
-    assert said(lossy, "2 rays of 103 and 0 ranges of 12 were rejected")
+    assert said(lossy, "2 of 103 image points and 0 of 12 ranges", f"({lossy.network.points.ids[2]})")
     assert said(lossy, "1 point lost all rays", lossy.network.points.ids[2])
+    assert any("100 image points" in line for line in summary(lossy))
+    # a point that keeps one ray after the rejection of the other has no place for that reason, not by its rays
+    one, place = np.arange(103) == np.flatnonzero(lossy.network.rays.point == 3)[0], np.arange(52) != 3
+    half = replace(lossy, determined=lossy.determined & place, rays_used=lossy.rays_used & place[lossy.network.rays.point],
+                   rays_rejected=lossy.rays_rejected | one)  # fmt: skip
+    assert said(half, "1 point of 52 took no part", lossy.network.points.ids[1])
+    assert said(half, "2 points lost all", lossy.network.points.ids[3])
     assert "nan" not in " ".join(statements(lossy))
 
 
