@@ -65,9 +65,10 @@ def omission_sentences(solution: Solution) -> list[str]:
         clauses = [f"{count} of {many(total, noun)}" for count, total, noun in counts if total]
         named = f" ({some_of(network.points.ids, hit)})" if hit.size else ""
         lost = hit[~determined[hit] | (used_ray_counts(solution)[hit] == 0)]
-        points = f" {many(lost.size, 'point')} lost all rays to that, or all but one: {some_of(network.points.ids, lost)}."
-        sentences.append(f"Rejected as blunders: {listed(clauses)}{named}; the table of residuals marks them."
-                         + (points if lost.size else ""))  # fmt: skip
+        sentences.append(f"Rejected as blunders: {listed(clauses)}{named}; the table of residuals marks them.")
+        if lost.size:
+            sentences[-1] += f" {many(lost.size, 'point')} lost all rays to that, or all but one: "
+            sentences[-1] += f"{some_of(network.points.ids, lost)}."
     if solution.test_dimensions is not None:
         dimensions = solution.test_dimensions[: network.rays.point.size][solution.rays_used]
         if one_direction := int(np.count_nonzero(dimensions < 2)):

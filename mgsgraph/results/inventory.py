@@ -63,7 +63,7 @@ _WARNINGS = 7
 
 def inventory(case: Case, details: bool = True) -> str:
     """What a case holds, as text: warnings and figures in a few lines, or with all tables."""
-    network, warnings = case.network, list[str]()
+    network, warnings = case.network, [note.removesuffix(".") for note in case.notes]
     try:
         prediction = predict(network, case.settings)
     except WeakNetwork as error:  # tell all the rest as if 1 km and 10 mrad were known of what is not
@@ -78,8 +78,8 @@ def inventory(case: Case, details: bool = True) -> str:
     points, reading_remarks = _points_section(network, prediction), reading_statements(network.images)
     priors = [(network.images[j], network.priors[j]) for j in np.flatnonzero(network.with_polynomial)]
     if not details:
-        count = len(case.notes) + len(reading_remarks)
-        remarks = [f"{many(count, 'remark')} on the input: --details."] if count else []
+        count = len(reading_remarks)
+        remarks = [f"{many(count, 'remark')} on the images: --details."] if count else []
         ranges = points.sentences if network.ranges.point.size else []
         sentences = [*_expected_precision(network, prediction), *ranges, *link_statement(connected)]
         sentences += [*prior_statements(priors, sources=False), *remarks]
@@ -91,7 +91,7 @@ def inventory(case: Case, details: bool = True) -> str:
     rows = connected.links if connected.links.size <= ROWS else connected.spine[:WEAKEST]
     pairs = connectivity_table(connected).take(rows)
     return _as_text([
-        Section("", heading, case.notes, [_images_table(network.images, network)]),
+        Section("", heading, tables=[_images_table(network.images, network)]),
         Section("", sentences=[*reading_remarks, *defining_values(network.images), *prior_statements(priors)]), points,
         Section("", "Connections (points in common)", link_statement(connected), [pairs]),
         Section("", tables=[_unknowns_table(network)]),

@@ -378,6 +378,10 @@ def test_an_undetected_error_is_what_it_does_to_the_adjustment() -> None:
     (up,) = [one for one in verdict(before).undetected if one.what == "upward shift"]
     moved = np.linalg.norm(raised.places - before.places, axis=1)
     assert up.moves == pytest.approx(np.sqrt(np.mean(moved**2)), rel=0.02)
+    assert up.of == "laser shots"
+    points = replace(net.points, classes=np.full(len(net.points), PointClass.TIE))  # Constrained in a network alone
+    (up,) = [one for one in verdict(adjusted(replace(net, points=points))).undetected if one.what == "upward shift"]
+    assert up.of == "control points"
 
 
 def test_an_undetected_error_of_orientation_is_that_of_its_prior() -> None:

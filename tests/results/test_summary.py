@@ -93,8 +93,8 @@ def test_losses_in_words(lossy: Solution) -> None:
     assert any("100 image points" in line for line in summary(lossy))
     # a point that keeps one ray after the rejection of the other has no place for that reason, not by its rays
     one, place = np.arange(103) == np.flatnonzero(lossy.network.rays.point == 3)[0], np.arange(52) != 3
-    half = replace(lossy, determined=lossy.determined & place, rays_used=lossy.rays_used & place[lossy.network.rays.point],
-                   rays_rejected=lossy.rays_rejected | one)  # fmt: skip
+    used, marked = lossy.rays_used & place[lossy.network.rays.point], lossy.rays_rejected | one
+    half = replace(lossy, determined=lossy.determined & place, rays_used=used, rays_rejected=marked)
     assert said(half, "1 point of 52 took no part", lossy.network.points.ids[1])
     assert said(half, "2 points lost all", lossy.network.points.ids[3])
     assert "nan" not in " ".join(statements(lossy))
