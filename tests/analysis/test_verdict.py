@@ -487,6 +487,13 @@ def test_unknown_orientations_explain_anything() -> None:
     assert not unexplained_residuals(replace(net, priors=(net.priors[0], unknown)), residuals)
 
 
+def test_unlimited_sigmas_of_positions_are_tested_without_a_warning() -> None:
+    net = network(pair(ties=30, shots=8))
+    sigmas = net.priors[1].sigmas.copy()
+    sigmas[0, :3] = np.inf
+    assert verdict(adjusted(replace(net, priors=(net.priors[0], OrientationPrior(sigmas))))).tests > 100
+
+
 def test_what_a_pass_and_its_boresight_explain_is_let_be_and_interchanged_measures_are_not() -> None:
     net = rig(seed=20)
     assert not found(net)
