@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from shlex import quote
 
 import numpy as np
 
@@ -165,7 +166,7 @@ def images_inventory(path: Path, unmeasured: Unmeasured | None = None) -> str | 
     without_pixels = [entry.name for entry in case_input.images if picture_of(entry, path.parent) is None]
     folder = next((path.parent / group.network for group in case_input.tie_groups), None)
     sentences = [f"Its tie points, {folder}, are not there yet."] if folder is not None else []
-    next_step = f"mgsgraph match {path} --out {'MATCHES' if folder is None else folder.parent}"
+    next_step = f"mgsgraph match {quote(str(path))} --out {'MATCHES' if folder is None else quote(str(folder.parent))}"
     if not pairs:
         next_step = "an image that overlaps (mgsgraph new)"
     elif without_pixels:
