@@ -41,6 +41,7 @@ from mgsgraph.network.joining import mounting_angles
 from mgsgraph.network.observations import coverage
 from mgsgraph.results.places import crossings_section
 from mgsgraph.results.section import ROWS, Section, table_of
+from mgsgraph.results.summary import points_in_words
 from mgsgraph.results.tables import connectivity_table
 from mgsgraph.results.verdict import beyond_priors_statements, range_statements, reading_statements
 from mgsgraph.text import length, many, root_mean_square, some, some_of, span, two
@@ -119,8 +120,9 @@ def prior_statements(priors: Iterable[tuple[PushbroomImage, OrientationPrior]], 
 def _expected_precision(network: Network, prediction: Prediction) -> Iterator[str]:
     """How well each class of points will be known, and its nominal residuals."""
     checkpoints = network.points.checkpoints
-    of_class = [(f"{each.name.lower()} points", np.setdiff1d(all_, checkpoints)) for each, all_ in network.of_class()]
-    for name, points in [*of_class, ("checkpoints", checkpoints)]:
+    groups = [(f"{each.name.lower()} points", of) for each, of in points_in_words(network)]
+    groups = [(name, np.setdiff1d(of, checkpoints)) for name, of in groups] + [("checkpoints", checkpoints)]
+    for name, points in groups:
         determined = points[np.all(np.isfinite(prediction.covariances[points]), axis=(1, 2))]
         if not determined.size:
             continue

@@ -19,6 +19,7 @@ from mgsgraph.analysis.statistics import solution_connectivity
 from mgsgraph.analysis.verdict import Cause, verdict
 from mgsgraph.case.reading import Case, adjust, read_case
 from mgsgraph.errors import InputError, Unmeasured
+from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.geometry.footprint import Footprint
 from mgsgraph.network import ImageRays, Network, PointClass
@@ -31,7 +32,7 @@ from mgsgraph.network.parts import select_points
 from mgsgraph.results.archive import read_solution
 from mgsgraph.results.inventory import images_inventory
 from mgsgraph.results.results import solution_json, statements, summary_table, write_results
-from mgsgraph.results.summary import summary
+from mgsgraph.results.summary import points_in_words, summary
 from mgsgraph.results.tables import connectivity_table
 from mgsgraph.results.verdict import drivers_section, reading_statements
 from mgsgraph.simulation.files import write_site
@@ -84,6 +85,14 @@ def test_laser_in_words(solution: Solution, case: Case) -> None:
     controlled = adjust_network(replace(case.network, points=control), case.settings)
     assert not any("20.6 arcsec" in s or "12 ranges" in s for s in statements(controlled))
     assert "control" in summary_table(controlled)
+
+
+def test_known_points_of_a_network_are_control_points_in_words(solution: Solution) -> None:
+    kinds = np.where(np.arange(52) < 3, PointKind.CONSTRAINED, solution.network.points.kinds)
+    points = replace(solution.network.points, kinds=kinds, places=solution.places,
+                     covariances=np.where((kinds != PointKind.FREE)[:, None, None], np.eye(3), 0.0))  # fmt: skip
+    of_words = {each.name: members.size for each, members in points_in_words(replace(solution.network, points=points))}
+    assert of_words == {"TIE": 37, "LASER": 12, "CONTROL": 3}
 
 
 def test_losses_in_words(lossy: Solution) -> None:
