@@ -71,7 +71,8 @@ class SolverSettings(Record):
     """Width of the loss in sigmas; None takes the loss's customary one."""
     reject: float = 0.0
     """Blunder limit: a good observation is beyond it as rarely as a normal error is beyond so many standard deviations,
-    either side (4: 1 in 15,800), whatever its redundancy (`adjustment.blunders`); 0 seeks none."""
+    either side (4: 1 in 15,800), whatever its redundancy (`adjustment.blunders`), in units of its class's median where
+    that differs clearly from the stated sigmas; 0 seeks none."""
     starts: int | None = None
     """Starts over a terrain model's unknown shift, where the cost may have several minima (`multistart`); None:
     16 of networks up to 5,000 points and 1,000 unknowns that points share, by least squares. None where

@@ -99,7 +99,7 @@ class ResidualRows:
         """
         variables = self.at.layout.variables
         held = np.flatnonzero(variables.considered)
-        factor = (variables.sigmas / variables.prior_sigmas**2)[held]
+        factor = variables.sigmas[held] / variables.prior_sigmas[held] ** 2  # others may be unlimited
         unit = np.zeros((self.at.layout.columns, held.size))
         unit[held, np.arange(held.size)] = factor
         effects = np.asarray(self.through @ self._spread(unit))

@@ -197,6 +197,16 @@ def rejected_points(solution: Solution) -> Mask:
     return np.asarray(~solution.determined | lost)
 
 
+def rejected_rays(solution: Solution) -> Mask:
+    """(k,) True for measures judged blunders, which those of points that were never determined are not; an older
+    solution doesn't tell those of points lost by rejection.
+    """
+    network, judged = solution.network, solution.rays_rejected
+    if judged is None:
+        return np.asarray(~solution.rays_used & solution.determined[network.rays.point])
+    return np.asarray(judged & ~network.undetermined[network.rays.point])
+
+
 @dataclass(frozen=True, slots=True)
 class RangeStatistics:
     """Laser ranges; residuals, measured minus predicted, of those that took part."""

@@ -31,6 +31,11 @@ _POINTS = 50
 """Points whose motion is computed, evenly spread over the network's."""
 SHIFTS = ("eastward shift", "northward shift", "upward shift")
 """Errors of control."""
+_KNOWN = {
+    PointClass.TIE: "control points", PointClass.LASER: "laser shots", PointClass.CONTROL: "control points",
+    PointClass.POST: "posts of the terrain model",
+}  # fmt: skip
+"""What points with a-priori coordinates are: those of a network, beside its free ties, are control as well."""
 _NOTHING = 1e-3
 """Share of an error that residuals show, which is rounding, or what is not linear."""
 _MORE = 1.5
@@ -160,9 +165,8 @@ def _errors(rows: ResidualRows) -> Iterator[_Error]:
         if chosen.size:
             off = rows.scale[chosen] * from_middle(network, rows.measure[chosen])
             yield _Error("focal length", of, "", chosen, off, (IMAGE, images[0] if len(images) == 1 else -1))
-    control = bool(np.any(network.points.classes == PointClass.CONTROL))
-    laser = bool(np.any(network.points.classes == PointClass.LASER))
-    ground = " and ".join(name for name, used in (("laser shots", laser), ("control points", control)) if used)
+    known = np.unique(network.points.classes[rows.point[rows.of_kind(GROUND)]])
+    ground = " and ".join(dict.fromkeys(_KNOWN[PointClass(each)] for each in known.tolist()))
     for kind, of in ((GROUND, ground), (SURFACE, "the terrain model"), (RANGE, "the laser")):
         chosen = rows.of_kind(kind)
         for axis, what in enumerate(("range",) if kind == RANGE else SHIFTS) if chosen.size else ():

@@ -12,6 +12,7 @@ from dataclasses import replace
 from difflib import get_close_matches
 from functools import cache
 from pathlib import Path
+from shlex import quote
 from typing import Any, Literal, NamedTuple
 
 import msgspec
@@ -109,11 +110,12 @@ def _refuse_former(value: Any, where: str) -> None:
 
 def _refuse_other_kinds(path: Path) -> None:
     """Raise InputError for data, or a folder of them, in the place of a case file, and say how to make one."""
+    word = quote(str(path))
     if (path / PROJECT).is_file():
-        remedy = f"mgsgraph project solve {path} adjusts it, mgsgraph project status {path} says what is in it"
+        remedy = f"mgsgraph project solve {word} adjusts it, mgsgraph project status {word} says what is in it"
         raise InputError(str(path), "a project", "a case file (TOML)", remedy)
     kind = "a folder" if path.is_dir() else kind_of(path)
-    require(kind in (None, Kind.CASE), str(path), str(kind), "a case file (TOML)", f"make one: mgsgraph new {path}")
+    require(kind in (None, Kind.CASE), str(path), str(kind), "a case file (TOML)", f"make one: mgsgraph new {word}")
 
 
 def plain_image(entry: ImageInput, spice: SpiceInput | None, folder: Path, where: str) -> ImageInput:

@@ -11,6 +11,7 @@ from contextlib import ExitStack, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from shlex import quote
 from typing import NamedTuple
 
 import numpy as np
@@ -294,7 +295,7 @@ def draft_case(given: Sequence[Path], out: Path, name: str = "", replace: bool =
     remarks += [f"- A-priori sigmas of {accuracy.words}" for accuracy in (usual, *others)]
     remarks += [f"- Left out: {line}" for line in left_out]
     remarks += [] if measured else ["- Missing: tie points, ground control, or laser shots with measures"]
-    return Draft(text, tuple(map(in_line, remarks)), f"mgsgraph check {out}")
+    return Draft(text, tuple(map(in_line, remarks)), f"mgsgraph check {quote(str(out))}")
 
 
 def _kinds(given: Sequence[Path]) -> tuple[dict[Path, Kind], dict[Path, str]]:

@@ -3,6 +3,7 @@
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from glob import escape
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,7 +12,7 @@ from mgsgraph.case.resection import nominal_image
 from mgsgraph.case.schema import ImageInput, SpiceInput
 from mgsgraph.errors import InputError
 from mgsgraph.files.cameras.label import read_line_scan_label
-from mgsgraph.files.kinds import IMAGES, Kind, image_kind, image_name
+from mgsgraph.files.kinds import IMAGES, Kind, image_kind, image_name, kind_of
 from mgsgraph.geometry.body import target_name
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.plausibility import duplicate_images
@@ -22,6 +23,7 @@ _ORDER = (Kind.CUBE, Kind.CUBE_TABLES, Kind.SUPPORT_DATA, Kind.MODEL_STATE, Kind
 """By which an image is read, if there are several: what holds its geometry before what needs kernels."""
 _NO_SERIAL = (Kind.CUBE_TABLES, Kind.SUPPORT_DATA, Kind.MODEL_STATE)
 """Kinds that know no serial number; a label whose name begins as theirs has it."""
+_LABELS = tuple(kind for kind in IMAGES if kind not in _NO_SERIAL)
 _LINE_TIMES = "line_times"
 """Key that the reader of a label without times of its lines asks for."""
 _SAME_START = 1.0
@@ -68,6 +70,10 @@ def draft_images(kinds: Mapping[Path, Kind], kernels: Sequence[Path]) -> DraftIm
         _ORDER.index(kinds[path]), len(path.name), path.name.lower()
     ))  # fmt: skip
     labels = [path for path in files if kinds[path] not in _NO_SERIAL]
+    labels += sorted({  # beside files that were given by name: they are asked for serial numbers alone
+        path for file in files if kinds[file] in _NO_SERIAL for path in file.parent.glob(f"{escape(file.stem)}.*")
+        if path not in kinds and kind_of(path) in _LABELS
+    })  # fmt: skip
     drafts, left_out = list[DraftImage](), dict[Path, str]()
     for path, line_times in [*((path, None) for path in files), *((path, "mean") for path in files if kernels)]:
         if line_times and _LINE_TIMES not in left_out.get(path, ""):

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -165,8 +166,8 @@ def case_of(tables: CaseInput, path: Path, images: tuple[PushbroomImage, ...], l
         parts.add_points(*_with_checkpoints(control, PointClass.CONTROL, tables.checkpoints), 1.0)
     profiles = _add_laser(parts, tables, path) if laser else ()
     if not parts.count:
-        found, remedy = "neither ties nor ground control nor laser", f"find ties in the images: mgsgraph match {path}"
-        raise Unmeasured(str(path), found, "at least one of them", remedy)
+        remedy = f"find ties in the images: mgsgraph match {quote(str(path))}"
+        raise Unmeasured(str(path), "neither ties nor ground control nor laser", "at least one of them", remedy)
     settings = tables.solver.settings
     held = np.array([image.held for image in tables.images])
     radii, areoid, models = _read_terrain(tables, path, images)

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -95,7 +96,7 @@ def demo(
         print_solution(solution)
         sentences = [*tables, *sentences]
     click.echo("\n".join(sentences))
-    click.echo(f"Verdict: {state_of(solution)} ({elapsed():.0f} s). All of it: mgsgraph report {out}")
+    click.echo(f"Verdict: {state_of(solution)} ({elapsed():.0f} s). All of it: mgsgraph report {quote(str(out))}")
     ctx.exit(0 if is_valid(solution) else 1)
 
 
@@ -252,7 +253,7 @@ def match(
         with open_project(project, write=True) as opened:
             description = take_ties(opened, out / "network.pvl")
         click.echo(f"{project}: {description}; nothing is adjusted yet")
-        click.echo(f"Next: mgsgraph project solve {project}")
+        click.echo(f"Next: mgsgraph project solve {quote(str(project))}")
 
 
 def _match(

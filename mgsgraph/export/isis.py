@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.statistics import rejected_points
+from mgsgraph.analysis.statistics import rejected_points, rejected_rays
 from mgsgraph.errors import InputError, require
 from mgsgraph.export.bundle_out import covariance_factor, write_bundle_out
 from mgsgraph.export.network_content import ADJUSTED_BY, Restored, with_content
@@ -162,16 +162,6 @@ def adjusted_network(
         user_name=PROGRAM, description=_description(solution, scaled),
         target_radii=(body.equatorial, body.equatorial, body.polar),
     )  # fmt: skip
-
-
-def rejected_rays(solution: Solution) -> Mask:
-    """(k,) True for measures judged blunders, which those of points that were never determined are not; an older
-    solution doesn't tell those of points lost by rejection.
-    """
-    network, judged = solution.network, solution.rays_rejected
-    if judged is None:
-        return np.asarray(~solution.rays_used & solution.determined[network.rays.point])
-    return np.asarray(judged & ~network.undetermined[network.rays.point])
 
 
 def _measures(solution: Solution) -> list[list[ControlMeasure]]:

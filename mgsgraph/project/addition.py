@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from shlex import quote
 
 import numpy as np
 
@@ -325,7 +326,7 @@ def _with_names(
 def _require_new(names: Sequence[str], stored_names: Sequence[str], where: str) -> None:
     for k, name in enumerate(names):
         if name in stored_names:
-            remedy = f"remove it first to replace it: mgsgraph project remove {where} {name}"
+            remedy = f"remove it first to replace it: mgsgraph project remove {quote(where)} {quote(name)}"
             raise InputError(where, f"the image {name!r} is in the project already", "a new image", remedy)
         if name in names[:k]:
             raise InputError(where, f"the image {name!r} is given twice", "each image once", "name them: NAME=FILE")

@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -187,9 +188,10 @@ def solve_project(
     name, settings, store = project.name, project.settings.solver.settings, project.store
     settings = settings if device is None else replace(settings, device=device)
     if not store.members():
-        found, remedy = "nothing to adjust: no measure in any image", f"mgsgraph project add {project.folder} IMAGE"
+        found = "nothing to adjust: no measure in any image"
+        remedy = f"mgsgraph project add {quote(str(project.folder))} IMAGE"
         if project.case is not None:
-            remedy = f"find tie points in them: mgsgraph match {project.folder}"
+            remedy = f"find tie points in them: mgsgraph match {quote(str(project.folder))}"
         raise InputError(str(project.folder), found, "tie points or laser shots", remedy)
     check: BatchCheck | None = None
     with errors_from(str(project.folder)):
@@ -378,7 +380,8 @@ def waiting_case(project: Project) -> Path:
     if project.store.members():
         raise InputError(
             str(project.folder), "it has measures already", "a project whose images wait for tie points",
-            f"find others: mgsgraph match CASE --out MATCHES, mgsgraph project add {project.folder} --ties NETWORK",
+            "find others: mgsgraph match CASE --out MATCHES, "
+            f"mgsgraph project add {quote(str(project.folder))} --ties NETWORK",
         )
     if project.case is None:
         raise InputError(

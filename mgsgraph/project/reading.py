@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -77,7 +78,7 @@ def results_of(path: Path) -> Results:
     with open_project(path) as project:
         last = project.last_results()
         if last is None or last.folder is None:
-            found, remedy = "a project without a batch solution", f"make one: mgsgraph project solve {path}"
+            found, remedy = "a project without a batch solution", f"make one: mgsgraph project solve {quote(str(path))}"
             raise InputError(str(path), found, "results of an adjustment", remedy)
         warning = _changes_since(project, last.change)
         return Results(path / last.folder, _case_of_all(project), project.matched_ties, warning)
@@ -117,7 +118,7 @@ def _changes_since(project: Project, number: int) -> str:
     if not later_changes:
         return ""
     descriptions = ", ".join(f"{change.verb} {change.what}" for change in later_changes)
-    remedy = f"for one of everything: mgsgraph project solve {project.folder}"
+    remedy = f"for one of everything: mgsgraph project solve {quote(str(project.folder))}"
     return f"The project has changed since this solution ({descriptions}); {remedy}"
 
 
@@ -222,7 +223,8 @@ def _adjusted(project: Project, where: str) -> "IncrementalAdjustment":
     from mgsgraph.project.changes import incremental, is_solved
 
     if not project.store.image_names() or not is_solved(project):
-        raise InputError(where, "a project without a solution", "an adjusted one", f"mgsgraph project solve {where}")
+        remedy = f"mgsgraph project solve {quote(where)}"
+        raise InputError(where, "a project without a solution", "an adjusted one", remedy)
     return incremental(project)
 
 

@@ -11,7 +11,7 @@ from mgsgraph.adjustment.covariances import Linearised
 from mgsgraph.adjustment.multistart import Minima
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.checkpoints import Discrepancies, checkpoint_discrepancies, control_points, leave_out
-from mgsgraph.analysis.statistics import laser_gain, point_statistics, range_statistics, used_ray_counts
+from mgsgraph.analysis.statistics import laser_gain, point_statistics, range_statistics, rejected_rays, used_ray_counts
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.files.output.table import Table, numbers
@@ -49,33 +49,32 @@ def classes_table(solution: Solution) -> Table:
 def omission_sentences(solution: Solution) -> list[str]:
     """Sentences on points, rays, ranges and heights that took no part."""
     network, sentences = solution.network, []
-    determined = solution.determined
-    undetermined = np.flatnonzero(~determined)
+    determined, rejected = solution.determined, rejected_rays(solution)
+    hit = np.unique(network.rays.point[rejected])
+    undetermined = np.setdiff1d(np.flatnonzero(~determined), hit)
     if undetermined.size:
         sentences.append(f"{many(undetermined.size, 'point')} of {determined.size} took no part: their rays "
                          "determine no place (fewer than two rays, or nearly parallel ones): "
                          f"{some_of(network.points.ids, undetermined)}.")  # fmt: skip
-    counts = [
-        (int(np.count_nonzero(~used & determined[point])), point.size, noun)
-        for used, point, noun in (
-            (solution.rays_used, network.rays.point, "ray"), (solution.ranges_used, network.ranges.point, "range"),
-        )
-    ]  # fmt: skip
+    ranges = ~solution.ranges_used & determined[network.ranges.point]
+    counts = [(int(rejected.sum()), rejected.size, "image point"), (int(ranges.sum()), ranges.size, "range")]
     if solution.stereo_rejected is not None:
         flagged = solution.stereo_rejected & determined
         counts.append((int(np.count_nonzero(flagged)), int(np.count_nonzero(flagged | solution.stereo_used)), "height"))
     if any(count for count, *_ in counts):
-        clauses = [f"{many(count, noun)} of {total}" for count, total, noun in counts if total]
-        sentences.append(f"{listed(clauses)} were rejected as blunders; the table of residuals marks them.")
+        clauses = [f"{count} of {many(total, noun)}" for count, total, noun in counts if total]
+        named = f" ({some_of(network.points.ids, hit)})" if hit.size else ""
+        lost = hit[~determined[hit] | (used_ray_counts(solution)[hit] == 0)]
+        sentences.append(f"Rejected as blunders: {listed(clauses)}{named}; the table of residuals marks them.")
+        if lost.size:
+            sentences[-1] += f" {many(lost.size, 'point')} lost all rays to that, or all but one: "
+            sentences[-1] += f"{some_of(network.points.ids, lost)}."
     if solution.test_dimensions is not None:
         dimensions = solution.test_dimensions[: network.rays.point.size][solution.rays_used]
         if one_direction := int(np.count_nonzero(dimensions < 2)):
             sentences.append(f"Of {dimensions.size} rays that took part others check {one_direction} in one direction "
                              "at most (mostly across the epipolar line): a blunder along the other goes "
                              "unnoticed.")  # fmt: skip
-    unseen = np.flatnonzero(determined & (network.ray_counts > 0) & (used_ray_counts(solution) == 0))
-    if unseen.size:
-        sentences.append(f"{many(unseen.size, 'point')} lost all rays to that: {some_of(network.points.ids, unseen)}.")
     return sentences
 
 

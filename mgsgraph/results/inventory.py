@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from shlex import quote
 
 import numpy as np
 
@@ -40,6 +41,7 @@ from mgsgraph.network.joining import mounting_angles
 from mgsgraph.network.observations import coverage
 from mgsgraph.results.places import crossings_section
 from mgsgraph.results.section import ROWS, Section, table_of
+from mgsgraph.results.summary import points_in_words
 from mgsgraph.results.tables import connectivity_table
 from mgsgraph.results.verdict import beyond_priors_statements, range_statements, reading_statements
 from mgsgraph.text import length, many, root_mean_square, some, some_of, span, two
@@ -63,7 +65,7 @@ _WARNINGS = 7
 
 def inventory(case: Case, details: bool = True) -> str:
     """What a case holds, as text: warnings and figures in a few lines, or with all tables."""
-    network, warnings = case.network, list[str]()
+    network, warnings = case.network, [note.removesuffix(".") for note in case.notes]
     try:
         prediction = predict(network, case.settings)
     except WeakNetwork as error:  # tell all the rest as if 1 km and 10 mrad were known of what is not
@@ -78,8 +80,8 @@ def inventory(case: Case, details: bool = True) -> str:
     points, reading_remarks = _points_section(network, prediction), reading_statements(network.images)
     priors = [(network.images[j], network.priors[j]) for j in np.flatnonzero(network.with_polynomial)]
     if not details:
-        count = len(case.notes) + len(reading_remarks)
-        remarks = [f"{many(count, 'remark')} on the input: --details."] if count else []
+        count = len(reading_remarks)
+        remarks = [f"{many(count, 'remark')} on the images: --details."] if count else []
         ranges = points.sentences if network.ranges.point.size else []
         sentences = [*_expected_precision(network, prediction), *ranges, *link_statement(connected)]
         sentences += [*prior_statements(priors, sources=False), *remarks]
@@ -91,7 +93,7 @@ def inventory(case: Case, details: bool = True) -> str:
     rows = connected.links if connected.links.size <= ROWS else connected.spine[:WEAKEST]
     pairs = connectivity_table(connected).take(rows)
     return _as_text([
-        Section("", heading, case.notes, [_images_table(network.images, network)]),
+        Section("", heading, tables=[_images_table(network.images, network)]),
         Section("", sentences=[*reading_remarks, *defining_values(network.images), *prior_statements(priors)]), points,
         Section("", "Connections (points in common)", link_statement(connected), [pairs]),
         Section("", tables=[_unknowns_table(network)]),
@@ -118,8 +120,9 @@ def prior_statements(priors: Iterable[tuple[PushbroomImage, OrientationPrior]], 
 def _expected_precision(network: Network, prediction: Prediction) -> Iterator[str]:
     """How well each class of points will be known, and its nominal residuals."""
     checkpoints = network.points.checkpoints
-    of_class = [(f"{each.name.lower()} points", np.setdiff1d(all_, checkpoints)) for each, all_ in network.of_class()]
-    for name, points in [*of_class, ("checkpoints", checkpoints)]:
+    groups = [(f"{each.name.lower()} points", of) for each, of in points_in_words(network)]
+    groups = [(name, np.setdiff1d(of, checkpoints)) for name, of in groups] + [("checkpoints", checkpoints)]
+    for name, points in groups:
         determined = points[np.all(np.isfinite(prediction.covariances[points]), axis=(1, 2))]
         if not determined.size:
             continue
@@ -165,7 +168,7 @@ def images_inventory(path: Path, unmeasured: Unmeasured | None = None) -> str | 
     without_pixels = [entry.name for entry in case_input.images if picture_of(entry, path.parent) is None]
     folder = next((path.parent / group.network for group in case_input.tie_groups), None)
     sentences = [f"Its tie points, {folder}, are not there yet."] if folder is not None else []
-    next_step = f"mgsgraph match {path} --out {'MATCHES' if folder is None else folder.parent}"
+    next_step = f"mgsgraph match {quote(str(path))} --out {'MATCHES' if folder is None else quote(str(folder.parent))}"
     if not pairs:
         next_step = "an image that overlaps (mgsgraph new)"
     elif without_pixels:

@@ -9,6 +9,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.geometry_checks import convergence
 from mgsgraph.analysis.statistics import local_sigmas, range_statistics, ray_statistics
 from mgsgraph.analysis.verdict import State, verdict
+from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.plausibility import resection_remedy
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network, PointClass
@@ -60,15 +61,15 @@ def _fit_sentences(solution: Solution) -> Iterator[str]:
     rays, ranges = ray_statistics(solution), range_statistics(solution)
     line, sample = root_mean_square(rays.rms_of_images, 0).tolist()
     residuals = f"Residuals (rms): {two(line)} px in line, {two(sample)} px in sample ("
-    residuals += f"{network.rays.point.size} image points, {many(len(network.images), 'image')})"
+    residuals += f"{rays.count.sum()} image points, {many(len(network.images), 'image')})"
     if ranges.count:
-        residuals += f"; ranges {two(ranges.rms_before)} -> {two(ranges.rms)} m ({ranges.count})"
+        residuals += f"; ranges {two(ranges.rms_before)} -> {two(ranges.rms)} m ({ranges.used})"
     yield f"{residuals}."
 
 
 def _point_sentences(solution: Solution) -> Iterator[str]:
     """Median sigmas of each class of points, horizontal and vertical, and how far it moved."""
-    for point_class, indices in solution.network.of_class():
+    for point_class, indices in points_in_words(solution.network):
         known = np.setdiff1d(indices[solution.determined[indices]], solution.network.points.checkpoints)
         if not known.size:
             continue
@@ -79,6 +80,15 @@ def _point_sentences(solution: Solution) -> Iterator[str]:
         sentence += f" horizontal, {length(float(sigmas[2]))} vertical; median move {length(movement)}."
         yield sentence + (_convergence_remark(solution.network, known, float(sigmas[2]))
                           if point_class is PointClass.TIE else "")
+
+
+def points_in_words(network: Network) -> Iterator[tuple[PointClass, Index]]:
+    """What points are called in sentences, each with the indices of its points: those of a network of ties that are
+    Constrained or Fixed are control points.
+    """
+    known = (network.points.classes == PointClass.TIE) & (network.points.kinds != PointKind.FREE)
+    classes = np.where(known, PointClass.CONTROL, network.points.classes)
+    yield from ((each, np.flatnonzero(classes == each)) for each in PointClass if np.any(classes == each))
 
 
 def _convergence_remark(network: Network, ties: Index, height_sigma: float) -> str:

@@ -6,6 +6,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from shlex import quote
 from typing import Literal, NamedTuple, TypeVar
 
 import numpy as np
@@ -510,9 +511,10 @@ def _project(path: Path, case: Path | None) -> State:
 
 def _warning(project: Project) -> str:
     """Warning about a project that differs from its last batch solution."""
+    command = f"mgsgraph project solve {quote(str(project.folder))}"
     if not is_solved(project):
-        return f"Nothing has been adjusted yet: mgsgraph project solve {project.folder}"
+        return f"Nothing has been adjusted yet: {command}"
     last, changes = project.last_results(), project.changes(1)
     if last is None or last.change >= changes[-1].number:
         return ""
-    return f"Changed since its last batch solution, by iSAM2; for a new one: mgsgraph project solve {project.folder}"
+    return f"Changed since its last batch solution, by iSAM2; for a new one: {command}"

@@ -159,7 +159,7 @@ def test_adjust_and_analyze_print_and_write_them(known_case: Path) -> None:
     result, analysis = known_case.with_name("R"), known_case.with_name("A")
     adjusted = run("adjust", known_case, "--out", result, "--no-figures")
     assert "- Checkpoints (4): adjusted minus known has rms " in adjusted.stdout, adjusted.stderr
-    assert "- Control points" not in adjusted.stdout  # the other five are tie points
+    assert "- Control points (5)" in adjusted.stdout  # without the checkpoints
     assert len(adjusted.stdout.splitlines()) <= 15
     record, rows = read_record(result / "solution.json")["checkpoints"], rows_of(result / "checkpoints.csv")
     assert [row["point"] for row in rows] == ["TIE00001", "TIE00003", "TIE00005", "TIE00007"]

@@ -378,6 +378,10 @@ def test_an_undetected_error_is_what_it_does_to_the_adjustment() -> None:
     (up,) = [one for one in verdict(before).undetected if one.what == "upward shift"]
     moved = np.linalg.norm(raised.places - before.places, axis=1)
     assert up.moves == pytest.approx(np.sqrt(np.mean(moved**2)), rel=0.02)
+    assert up.of == "laser shots"
+    points = replace(net.points, classes=np.full(len(net.points), PointClass.TIE))  # Constrained in a network alone
+    (up,) = [one for one in verdict(adjusted(replace(net, points=points))).undetected if one.what == "upward shift"]
+    assert up.of == "control points"
 
 
 def test_an_undetected_error_of_orientation_is_that_of_its_prior() -> None:
@@ -481,6 +485,13 @@ def test_unknown_orientations_explain_anything() -> None:
     unknown = OrientationPrior(np.full_like(net.priors[1].sigmas, np.inf))
     residuals = predict(net, SolverSettings()).residuals
     assert not unexplained_residuals(replace(net, priors=(net.priors[0], unknown)), residuals)
+
+
+def test_unlimited_sigmas_of_positions_are_tested_without_a_warning() -> None:
+    net = network(pair(ties=30, shots=8))
+    sigmas = net.priors[1].sigmas.copy()
+    sigmas[0, :3] = np.inf
+    assert verdict(adjusted(replace(net, priors=(net.priors[0], OrientationPrior(sigmas))))).tests > 100
 
 
 def test_what_a_pass_and_its_boresight_explain_is_let_be_and_interchanged_measures_are_not() -> None:

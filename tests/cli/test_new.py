@@ -47,13 +47,22 @@ def test_products_are_known_however_they_are_written() -> None:
     assert missing == ("M01-00115",)
 
 
+def test_support_data_given_by_name_takes_the_serial_number_of_the_label_beside_it(
+    shared_data: Path, tmp_path: Path
+) -> None:
+    folder, out = shared_data / "lro_nac_lola", tmp_path / "case.toml"
+    draft_case([*folder.glob("lidarObservationImage?.isd"), folder / "network.pvl"], out)
+    images = [image.name for image in mgsgraph.read_case(out).network.images]
+    assert images == ["LRO/1/286265995:36824/NACL", "LRO/1/286272781:34203/NACL"]
+
+
 def test_images_alone_make_a_case_for_match(case_file: Path, tmp_path: Path) -> None:
-    files, out = sorted(case_file.parent.glob("*.isd")), tmp_path / "case.toml"
-    assert draft_case(files, out).command == f"mgsgraph check {out}"
+    files, out = sorted(case_file.parent.glob("*.isd")), tmp_path / "a case.toml"
+    assert draft_case(files, out).command == f"mgsgraph check '{out}'"
     said = images_inventory(out)
     assert said is not None
     assert "overlap by" in said
-    assert f"mgsgraph match {out}" in said
+    assert f"mgsgraph match '{out}'" in said
 
 
 def test_check_opens_the_shots_of_a_case_without_measures(case_file: Path, tmp_path: Path) -> None:

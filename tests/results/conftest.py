@@ -33,4 +33,5 @@ def lossy(case: Case) -> Solution:
     solved = adjust_network(
         replace(network, points=points, rays=rays, held=np.array([False, True])), case.settings, "lossy"
     )
-    return replace(solved, rays_used=solved.rays_used & (solved.network.rays.point != 2))
+    rejected = solved.network.rays.point == 2
+    return replace(solved, rays_used=solved.rays_used & ~rejected, rays_rejected=rejected)

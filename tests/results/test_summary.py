@@ -19,6 +19,7 @@ from mgsgraph.analysis.statistics import solution_connectivity
 from mgsgraph.analysis.verdict import Cause, verdict
 from mgsgraph.case.reading import Case, adjust, read_case
 from mgsgraph.errors import InputError, Unmeasured
+from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.geometry.footprint import Footprint
 from mgsgraph.network import ImageRays, Network, PointClass
@@ -31,7 +32,7 @@ from mgsgraph.network.parts import select_points
 from mgsgraph.results.archive import read_solution
 from mgsgraph.results.inventory import images_inventory
 from mgsgraph.results.results import solution_json, statements, summary_table, write_results
-from mgsgraph.results.summary import summary
+from mgsgraph.results.summary import points_in_words, summary
 from mgsgraph.results.tables import connectivity_table
 from mgsgraph.results.verdict import drivers_section, reading_statements
 from mgsgraph.simulation.files import write_site
@@ -86,10 +87,25 @@ def test_laser_in_words(solution: Solution, case: Case) -> None:
     assert "control" in summary_table(controlled)
 
 
+def test_known_points_of_a_network_are_control_points_in_words(solution: Solution) -> None:
+    kinds = np.where(np.arange(52) < 3, PointKind.CONSTRAINED, solution.network.points.kinds)
+    points = replace(solution.network.points, kinds=kinds, places=solution.places,
+                     covariances=np.where((kinds != PointKind.FREE)[:, None, None], np.eye(3), 0.0))  # fmt: skip
+    of_words = {each.name: members.size for each, members in points_in_words(replace(solution.network, points=points))}
+    assert of_words == {"TIE": 37, "LASER": 12, "CONTROL": 3}
+
+
 def test_losses_in_words(lossy: Solution) -> None:
     assert said(lossy, "1 point of 52 took no part", lossy.network.points.ids[1])
-    assert said(lossy, "2 rays of 103 and 0 ranges of 12 were rejected")
+    assert said(lossy, "2 of 103 image points and 0 of 12 ranges", f"({lossy.network.points.ids[2]})")
     assert said(lossy, "1 point lost all rays", lossy.network.points.ids[2])
+    assert any("100 image points" in line for line in summary(lossy))
+    # a point that keeps one ray after the rejection of the other has no place for that reason, not by its rays
+    one, place = np.arange(103) == np.flatnonzero(lossy.network.rays.point == 3)[0], np.arange(52) != 3
+    used, marked = lossy.rays_used & place[lossy.network.rays.point], lossy.rays_rejected | one
+    half = replace(lossy, determined=lossy.determined & place, rays_used=used, rays_rejected=marked)
+    assert said(half, "1 point of 52 took no part", lossy.network.points.ids[1])
+    assert said(half, "2 points lost all", lossy.network.points.ids[3])
     assert "nan" not in " ".join(statements(lossy))
 
 

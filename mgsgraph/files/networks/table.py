@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from shlex import quote
 
 import numpy as np
 import pyarrow as pa
@@ -115,7 +116,7 @@ def read_tie_points(
         return points.tie_points(lambda k, *_: f"{path}, point {points.ids[k]}", ellipsoid)
     if ending in _OF_OTHERS:
         expected = "a control network (.pvl, .net) or a table (.csv, .parquet)"
-        raise InputError(str(path), f"a {ending} file", expected, f"mgsgraph convert {path.name} network.net")
+        raise InputError(str(path), f"a {ending} file", expected, f"mgsgraph convert {quote(path.name)} network.net")
     return read_control_network(path, ellipsoid)
 
 
