@@ -140,6 +140,11 @@ def differences(one: StateStore, other: StateStore) -> list[str]:
     return [name for name in want | got if want.get(name, "nothing") != got.get(name, "nothing")]
 
 
+def files_of(folder: Path) -> dict[str, bytes]:
+    """Contents of all files of a folder, by their paths in it."""
+    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
 def digest(store: StateStore) -> str:
     """Of everything in it."""
     return hashlib.sha256(repr(list(contents(store))).encode()).hexdigest()

@@ -247,8 +247,7 @@ def compile_sweep() -> None:
     owns = rows, none_of(Groups), none_of(NormalBlocks), Model(0, 0, 0, 0.0), np.zeros(0)
     results = np.zeros((0, 3)), np.zeros(0, dtype=np.int8), *(np.zeros(0) for _ in range(3)), np.zeros((0, 0, 0))
     kernel: Any = sweep
-    given = *owns, COSTS, PLAIN_TOLERANCE, np.int64(0), np.int64(0), scratch, *results
-    kernel.compile(tuple(typeof(one) for one in given))
+    kernel.compile(tuple(map(typeof, (*owns, COSTS, PLAIN_TOLERANCE, np.int64(0), np.int64(0), scratch, *results))))
 
 
 def even_parts(rows: Rows, parts: int) -> Index:
@@ -391,8 +390,7 @@ def reduce(
     """
     points = (rows.start if points is None else points).copy()
     states, costs = np.empty(rows.kind.size, dtype=np.int8), np.empty(rows.piece.shape[0])
-    tolerance = ROUGH_TOLERANCE if rough else PLAIN_TOLERANCE
-    results = points, states, costs
+    tolerance, results = ROUGH_TOLERANCE if rough else PLAIN_TOLERANCE, (points, states, costs)
     blocks, gradient = sweep_all(rows, groups, target, model, orientation, task, *results, tolerance=tolerance)
     matrix, cost = blocks if task == SYSTEM else None, float(costs.sum())
     return Reduction(task, orientation.copy(), cost, costs, matrix, gradient, points, states)

@@ -81,6 +81,13 @@ def parabola(lies: Iterator[float]) -> Problem:
     return Problem(lambda x: 1.0 + 0.5 * float((x[0] - 3.0) ** 2), lambda x: x - 3.0, lambda _: np.eye(1), lies)
 
 
+def quartic(bend: float) -> Problem:
+    return Problem(
+        lambda x: 1000.0 + float(0.5 * x[0] ** 2 + 0.25 * bend * x[0] ** 4),
+        lambda x: x + bend * x**3, lambda x: np.diag(1.0 + 3.0 * bend * x**2),
+    )  # fmt: skip
+
+
 def test_a_near_miss_is_looked_at_again_exactly() -> None:
     """At the optimum already, a rise of 1e-9 that the exact costs don't confirm is no reason to reject."""
     settings = SolverSettings(max_iterations=8)
@@ -96,10 +103,7 @@ def test_a_kept_matrix_is_renewed_where_it_no_longer_fits(bend: float) -> None:
     """Whether the curvature changes hardly or a thousandfold: the optimum is found, and with one that hardly changes
     only the gradient is asked for.
     """
-    problem = Problem(
-        lambda x: 1000.0 + float(0.5 * x[0] ** 2 + 0.25 * bend * x[0] ** 4),
-        lambda x: x + bend * x**3, lambda x: np.diag(1.0 + 3.0 * bend * x**2),
-    )  # fmt: skip
+    problem = quartic(bend)
     outcome = levenberg_marquardt(problem, np.array([0.1]), SolverSettings(cost_tolerance=1e-15), quiet)
     assert outcome.converged
     assert abs(outcome.state[0]) < 1e-5
@@ -114,10 +118,7 @@ def test_a_matrix_whose_factor_takes_long_is_made_more_rarely(monkeypatch: pytes
     """The same optimum from fewer matrices; a real block takes the rule by its factor's operations."""
     costs, matrices = list[float](), list[int]()
     for keeping in (KEEPING, KEEPING_LONGER):
-        problem = Problem(
-            lambda x: 1000.0 + float(0.5 * x[0] ** 2 + 0.25 * x[0] ** 4),
-            lambda x: x + x**3, lambda x: np.diag(1.0 + 3.0 * x**2),
-        )  # fmt: skip
+        problem = quartic(1.0)
         problem.keeping = keeping
         outcome = levenberg_marquardt(problem, np.array([2.0]), SolverSettings(cost_tolerance=1e-15), quiet)
         costs.append(outcome.cost_final)
@@ -132,17 +133,14 @@ def test_a_matrix_whose_factor_takes_long_is_made_more_rarely(monkeypatch: pytes
 
 def test_points_are_solved_roughly_only_where_a_step_gains_much() -> None:
     """The cost of a block far from its optimum changes by less than 1e-5 of it then, and its optimum not at all."""
-    problem = Problem(
-        lambda x: 1000.0 + float(0.5 * x[0] ** 2 + 0.25 * x[0] ** 4),
-        lambda x: x + x**3, lambda x: np.diag(1.0 + 3.0 * x**2),
-    )  # fmt: skip
+    problem = quartic(1.0)
     outcome = levenberg_marquardt(problem, np.array([20.0]), SolverSettings(cost_tolerance=1e-15), quiet)
     gains = [now.predicted / (now.cost + now.decrease) for now in outcome.history if now.accepted]
     assert problem.rough == [False, *(gain > 0.1 for gain in gains)]
     assert True in problem.rough
-    layout = lay_out(network(pair()), SolverSettings())
-    graph, moves = BundleGraph(layout), layout.scales * np.geomspace(1e-5, 1.0, 11)[:, None]
-    begin = graph.reduction(np.zeros(layout.columns)).points
+    graph = BundleGraph(lay_out(network(pair()), SolverSettings()))
+    moves = graph.layout.scales * np.geomspace(1e-5, 1.0, 11)[:, None]
+    begin = graph.reduction(0.0 * moves[0]).points
     rough, exact = ([graph.reduction(move, COSTS, begin, one).cost for move in moves] for one in (True, False))
     assert rough != exact
     assert rough == pytest.approx(exact, rel=1e-5)

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, partialmethod
 from pathlib import Path
 from shutil import copytree
 from typing import Any
@@ -194,25 +194,18 @@ class Editor:
         self.ties[name].measures[image] = (line, sample, sigma)
         return f"move {name} {image}"
 
-    def reject(self, project: Project) -> str | None:
-        name = self._chosen(lambda tie: len(tie.measures) > 1)
+    def _turned(self, act: Callable[..., Any], source: str, target: str, project: Project) -> str | None:
+        name = self._chosen(lambda tie: len(getattr(tie, source)) > (source == "measures"))
         if name is None:
             return None
         self._note(name)
-        image = str(self.rng.choice(list(self.ties[name].measures)))
-        edits.reject(project, name, image)
-        self.ties[name].aside[image] = self.ties[name].measures.pop(image)
-        return f"reject {name} {image}"
+        image = str(self.rng.choice(list(getattr(self.ties[name], source))))
+        act(project, name, image)
+        getattr(self.ties[name], target)[image] = getattr(self.ties[name], source).pop(image)
+        return f"{act.__name__} {name} {image}"
 
-    def accept(self, project: Project) -> str | None:
-        name = self._chosen(lambda tie: bool(tie.aside))
-        if name is None:
-            return None
-        self._note(name)
-        image = str(self.rng.choice(list(self.ties[name].aside)))
-        edits.accept(project, name, image)
-        self.ties[name].measures[image] = self.ties[name].aside.pop(image)
-        return f"accept {name} {image}"
+    reject = partialmethod(_turned, edits.reject, "measures", "aside")
+    accept = partialmethod(_turned, edits.accept, "aside", "measures")
 
     def hold(self, project: Project) -> str | None:
         name = str(self._chosen(lambda tie: bool(tie.measures)))

@@ -1,13 +1,13 @@
 """A region divided into connected groups, adjusted as projects that grow: killed, continued, nothing done twice."""
 
 import re
-import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
 
 import pytest
+from projects import files_of
 
 from mgsgraph.case.case_file import decode
 from mgsgraph.case.reading import read_case
@@ -38,23 +38,19 @@ def without(case: Path, name: str, pattern: str) -> Path:
     return path
 
 
-def contents(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*.*") if path.is_file()}
-
-
 def test_groups_are_the_parts_of_the_network(region: Path, tmp_path: Path) -> None:
     division, whole = split_case(region, tmp_path / "sites"), read_case(region).network
 
     islands = connectivity(whole, network_footprints(whole, whole.points.places)).islands
-    named = {frozenset(whole.images[j].name for j in island) for island in islands}
-    assert {frozenset(images) for images in division.groups.values()} == {part for part in named if len(part) > 1}
+    named = {frozenset(whole.images[j].name for j in island) for island in islands if len(island) > 1}
+    assert {frozenset(images) for images in division.groups.values()} == named
     assert len(division.groups) > 2
     parts = [read_case(tmp_path / "sites" / folder / "case.toml").network for folder in division.groups]
     for kind in ("rays", "ranges"):
         assert sum(getattr(part, kind).point.size for part in parts) == getattr(whole, kind).point.size
-    before = contents(tmp_path / "sites")
+    before = files_of(tmp_path / "sites")
     assert split_case(region, tmp_path / "sites") == division
-    assert contents(tmp_path / "sites") == before
+    assert files_of(tmp_path / "sites") == before
 
 
 def test_without_ties_footprints_connect(region: Path, tmp_path: Path) -> None:
@@ -95,11 +91,10 @@ def test_a_killed_batch_goes_on_and_its_projects_grow(region: Path, tmp_path: Pa
     folder, images = next(iter(division.groups.items()))
     split_case(without(region, "first.toml", f'= "{images[-1]}"'), sites)
     command = [sys.executable, "-m", "mgsgraph", "batch", sites, "--out", out, "--projects", "--no-figures"]
-    running = subprocess.Popen(command, stdout=subprocess.DEVNULL)
-    while running.poll() is None and not ((out / RECORD).exists() and (out / RECORD).read_bytes().count(b"\n") > 1):
-        time.sleep(0.05)
-    running.send_signal(signal.SIGKILL)
-    running.wait()
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL) as running:
+        while running.poll() is None and not ((out / RECORD).exists() and (out / RECORD).read_bytes().count(b"\n") > 1):
+            time.sleep(0.05)
+        running.kill()
 
     done = run_campaign([sites], out, PROJECTS)
     assert len(done.kept) >= 1

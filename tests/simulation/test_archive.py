@@ -9,6 +9,7 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 import spiceypy
+from projects import files_of
 from redraw import assert_unit_variance
 from sites import plain_site
 
@@ -168,13 +169,10 @@ def test_an_adjustment_finds_the_truth(kind: str, tmp_path: Path) -> None:
 def test_the_same_seed_gives_the_same_bytes_and_another_one_others(tmp_path: Path) -> None:
     for name, seed in (("a", 1), ("b", 1), ("c", 2)):
         write_archive(lay_out(archive_settings("block", 4, 50), seed), tmp_path / name)
-    a, b, c = (
-        {path.relative_to(tmp_path / name): path.read_bytes() for path in (tmp_path / name).rglob("*.*")}
-        for name in "abc"
-    )
+    a, b, c = (files_of(tmp_path / name) for name in "abc")
     assert a == b
     assert a.keys() == c.keys()
-    assert a[Path("network.net")] != c[Path("network.net")]
+    assert a["network.net"] != c["network.net"]
 
 
 def test_the_globe_is_covered_evenly_by_as_many_images_as_it_takes() -> None:

@@ -12,6 +12,7 @@ import pytest
 
 pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")
+from projects import files_of
 from studio_server import CONTRAST, PANELS, Browser, Page, studio
 
 from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
@@ -42,11 +43,6 @@ def ended(record: Callable[[], Any], seconds: float = 120.0) -> Any:
         assert time.monotonic() < until, found
         time.sleep(0.05)
     return found
-
-
-def content(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
-
 
 def processes(words: str) -> list[str]:
     """Running commands with a word."""
@@ -81,10 +77,10 @@ def prepared(opened: Opened) -> None:
 def test_preparing_leaves_the_folder_alone_and_the_first_change_begins_with_it(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    other, before = Path(shutil.copytree(folder, tmp_path / "other")), content(folder)
+    other, before = Path(shutil.copytree(folder, tmp_path / "other")), files_of(folder)
     opened = Opened(folder)
     prepared(opened)
-    assert content(folder) == before
+    assert files_of(folder) == before
     point, image = next((row[0], row[1]) for row in window(opened, {"table": "measurements", "count": "1"})["rows"])
     content_of_change = {"kind": "reject", "point": point, "image": image}
     expected = change(Opened(other), content_of_change)
@@ -117,7 +113,7 @@ def test_nothing_is_prepared_while_a_change_is_under_way_and_another_process_may
 
 
 def test_a_cancelled_job_leaves_the_project_and_others_wait(folder: Path) -> None:
-    before, project = content(folder), str(folder)
+    before, project = files_of(folder), str(folder)
     with studio(folder) as running:
         one, two = running.browser("one"), running.browser("two")
         assert one.json("/api/work", {"kind": "solve"})["job"]["state"] == "running"
@@ -131,7 +127,7 @@ def test_a_cancelled_job_leaves_the_project_and_others_wait(folder: Path) -> Non
         one.json("/api/work", {"kind": "cancel"})
         assert ended(lambda: one.json("/api/state")["job"])["state"] == "cancelled"
         assert processes(f"solve {project}") == []
-        assert content(folder) == before
+        assert files_of(folder) == before
         assert one.json("/api/state")["revision"] == 0
         one.json("/api/work", {"kind": "solve"})  # and the next one may begin
         done = ended(lambda: one.json("/api/state")["job"])
@@ -143,7 +139,7 @@ def test_a_cancelled_job_leaves_the_project_and_others_wait(folder: Path) -> Non
 
 
 def test_a_job_ends_with_its_studio(folder: Path) -> None:
-    before = content(folder)
+    before = files_of(folder)
     with studio(folder) as running:
         running.browser("one").json("/api/work", {"kind": "solve"})
         until = time.monotonic() + 20.0
@@ -155,7 +151,7 @@ def test_a_job_ends_with_its_studio(folder: Path) -> None:
         while processes(f"solve {folder}"):
             assert time.monotonic() < until
             time.sleep(0.05)
-    assert content(folder) == before
+    assert files_of(folder) == before
 
 
 def test_files_are_added_by_their_numbers(pair_folder: Path, folder: Path, tmp_path: Path) -> None:

@@ -143,7 +143,8 @@ class RayConstants:
             image, lines = self._network.images[j], rays.places[k, 0]
             pose, detector = image.pose(lines).in_axes(self._axes[j]), self._pixels(j, k)
             scale = frozen_scale(pose, image.interior.focal_length, starts[rays.point[k]], detector.slope)
-            store(*constants_of(k, self._table), first, scale.reshape(-1, 4), data)
+            begin, step = constants_of(k, self._table)
+            store(begin, step, first, scale.reshape(-1, 4), data)
 
         self._each(rescale)
 
@@ -185,11 +186,10 @@ class RayConstants:
             form.append(self.effects.slopes(j, rays.places[k, 1], values) if bent else pixels.slope)
         basis = terms.basis(j, moments, terms.of_rays[k], predicted)
         effects = self.effects.of_rays(j, moments.u, rays.places[k, 1], common).reshape(k.size, -1)
-        begin, step = constants_of(k, self._table)
-        first = 0
-        for values in (*form, *basis, effects):
-            store(begin, step, first, values, data)
-            first += values.shape[1]
+        (begin, step), first = constants_of(k, self._table), 0
+        for part in (*form, *basis, effects):
+            store(begin, step, first, part, data)
+            first += part.shape[1]
 
 
 def attitudes(pose: Pose, angles: int) -> Array:
@@ -283,7 +283,7 @@ def constants_of(rays, table):
     """
     point, point_index, piece_of, piece, before, among = table
     begin, step = np.empty(rays.size, dtype=np.int64), np.empty(rays.size, dtype=np.int64)
-    last, end = -2, -1
+    last, end = np.int64(-2), np.int64(-1)
     for r in range(rays.size):
         place = np.int64(among[rays[r]])
         if place == last + 1 and place < end:
