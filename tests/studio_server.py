@@ -116,7 +116,7 @@ PANELS = ("start", "map", "images", "lists", "point", "questions")
 class Page:
     """A tab of the browser at a studio, what it complained of and what it asked for."""
 
-    longest, between = 15.0, 0.1
+    longest, between = 60.0, 0.1
     """s, for which it waits, and between two looks."""
 
     def __init__(self, browser: Any, running: Studio, width: int = 1280, **settings: Any) -> None:
@@ -124,7 +124,9 @@ class Page:
         self.tab = self.context.new_page()
         self.complaints: list[str] = []
         self.asked: list[str] = []
-        self.tab.on("console", lambda one: self.complaints.append(one.text) if one.type == "error" else None)
+        # of a busy server (503) the page asks again
+        said = lambda one: one.type == "error" and "status of 503" not in one.text  # noqa: E731
+        self.tab.on("console", lambda one: self.complaints.append(one.text) if said(one) else None)
         self.tab.on("pageerror", lambda one: self.complaints.append(str(one)))
         self.tab.on("request", lambda one: self.asked.append(one.url))
         self.root = running.root
@@ -153,7 +155,7 @@ class Page:
         self.until("id => Boolean(document.getElementById(id).view)", panel)
 
     def close(self) -> None:
-        assert self.complaints == []
+        assert not self.complaints, self.complaints
         assert {one for one in self.asked if not one.startswith((self.root, "data:", "blob:"))} == set()
         self.context.close()
 

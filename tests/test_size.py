@@ -34,7 +34,7 @@ CEILINGS = {
     "factors": (853, 13822, 18),
     "single files": (905, 11008, 10),
     "scripts": (7001, 112260, 51),
-    "tests": (39999, 604840, 222),
+    "tests": (40000, 604850, 222),
     "docs": (157, 1791, 4),
 }  # fmt: skip
 """Room: lines of code, nodes, files."""

@@ -150,8 +150,8 @@ def test_reload_and_second_tab_work_and_another_port_gets_the_cookie_alone(
 
 def _listening_ports(process: int) -> list[int]:
     """Ports at which a process listens, by the kernel."""
-    links = (Path(f"/proc/{process}/fd") / one for one in os.listdir(f"/proc/{process}/fd"))
-    sockets = {os.readlink(one)[8:-1] for one in links if os.readlink(one).startswith("socket:")}
+    links = map(os.path.realpath, Path(f"/proc/{process}/fd").iterdir())  # those closed meanwhile lead nowhere
+    sockets = {link.partition("socket:[")[2][:-1] for link in links if "socket:[" in link}
     rows = [row.split() for table in ("tcp", "tcp6") for row in Path(f"/proc/net/{table}").read_text().splitlines()[1:]]
     return [int(row[1].rpartition(":")[2], 16) for row in rows if row[3] == "0A" and row[9] in sockets]
 
