@@ -1,5 +1,6 @@
 """What can go wrong, in few kinds, each also a standard error; one line: where, what was found, expected, to do."""
 
+import shlex
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
@@ -25,6 +26,13 @@ def one_line(text: str, longest: int = _LONGEST_PART) -> str:
     """A part of a message as it may go to a terminal: on one line, and not longer than that."""
     shown = printable(text.replace("\n", " ").replace("\t", " "))
     return shown if len(shown) <= longest else f"{shown[: longest - 200]} ... {shown[-195:]}"
+
+
+def command_line(*words: object) -> str:
+    """A command of this program as a user types it: what a shell would take otherwise, as a path with spaces, is
+    quoted.
+    """
+    return shlex.join(["mgsgraph", *map(str, words)])
 
 
 class MgsgraphError(Exception):

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from study import DOCS, at_least, command, table, write_page
+from study import at_least, command, table, work_and_page, write_page
 from whole_road import step
 
 from mgsgraph.geometry.records import Array
@@ -29,6 +29,7 @@ from mgsgraph.units import DEG, MRAD
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 from ctx_pair import PIXEL, CtxSettings, SimulatedCtxPair, image_times, simulate_ctx_pair
 
+PAGE = "evidence_terrain.md#jitter_dem"
 FREQUENCY, BAND = 2.0, 0.25
 """Hz of the vibration; and what share of it to either side counts as its ripple."""
 _BIN = 16
@@ -147,8 +148,7 @@ def main() -> int:
     parser.add_argument("--seed", type=at_least(0), default=201)
     parser.add_argument("--lines", type=at_least(1000), default=6000)
     parser.add_argument("--samples", type=at_least(300), default=5000)
-    parser.add_argument("--work", type=Path, help="folder to keep everything in; a temporary one when absent")
-    parser.add_argument("--out", type=Path, default=DOCS / "evidence_terrain.md")
+    work_and_page(parser, PAGE)
     options = parser.parse_args()
 
     def make() -> dict[str, list[str]]:
@@ -176,7 +176,7 @@ def main() -> int:
         sentence = f"The ripple is cut {share:.1f} times. {time.perf_counter() - began:.0f} s in all."
         return {"dem": [*table(head, rows), "", sentence]}
 
-    return write_page(parser, options.out, "evidence_terrain.md#jitter_dem", make)
+    return write_page(parser, options.out, PAGE, make)
 
 
 if __name__ == "__main__":

@@ -14,6 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from contextlib import chdir
 from datetime import datetime
 from pathlib import Path
 
@@ -22,7 +23,7 @@ import pyarrow.csv
 import pyarrow.parquet
 from benchmark_costs import Took, mgsgraph
 from matplotlib.figure import Figure
-from study import DOCS, at_least, command, default, show, table, write_page
+from study import DOCS, at_least, command, show, table, work_and_page, write_page
 
 from mgsgraph.case.case_file import decode, read_images
 from mgsgraph.geometry.footprint import footprint, map_degrees
@@ -42,13 +43,11 @@ def main() -> int:
     parser.add_argument("--images", type=at_least(20), default=1000)
     parser.add_argument("--seed", type=at_least(0), default=52)
     parser.add_argument("--workers", type=at_least(1), default=2)
-    parser.add_argument("--work", type=Path, help="folder to keep everything in; a temporary one when absent")
-    parser.add_argument("--out", type=Path, default=default(PAGE))
+    work_and_page(parser, PAGE)
     options = parser.parse_args()
 
     def make() -> dict[str, list[str]]:
-        with tempfile.TemporaryDirectory() as temporary:
-            os.chdir(options.work or temporary)
+        with tempfile.TemporaryDirectory() as temporary, chdir(options.work or temporary):
             return recipe(options.images, options.seed, BATCH.format(options.workers))
 
     return write_page(parser, options.out, PAGE, make)

@@ -219,6 +219,12 @@ def default(page: str) -> Path:
     return DOCS / page.partition("#")[0]
 
 
+def work_and_page(parser: OneLine, page: str) -> None:
+    """Options of a study that leaves files, and makes PAGE#STUDY."""
+    parser.add_argument("--work", type=Path, help="folder to keep everything in; a temporary one when absent")
+    parser.add_argument("--out", type=Path, default=default(page))
+
+
 def write_page(parser: OneLine, path: Path | None, page: str, make: Callable[[], Blocks]) -> int:
     """Make the blocks of a study (PAGE#STUDY), print them, and write its page to a file, if one is named; the exit
     status. Whether the file can be written is asked first.

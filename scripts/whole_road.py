@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from study import at_least, command, default, table, write_page
+from study import at_least, command, table, work_and_page, write_page
 
 from mgsgraph.simulation.site import SimulatedSite, simulate_site
 from mgsgraph.simulation.sites import SITE_NAMES
@@ -82,8 +82,7 @@ def main() -> int:
     parser = command(__doc__)
     parser.add_argument("--site", choices=SITE_NAMES, default="gusev")
     parser.add_argument("--seed", type=at_least(0), default=1)
-    parser.add_argument("--work", type=Path, help="folder to keep everything in; a temporary one when absent")
-    parser.add_argument("--out", type=Path, default=default(PAGE))
+    work_and_page(parser, PAGE)
     options = parser.parse_args()
 
     def make() -> dict[str, list[str]]:

@@ -12,7 +12,6 @@ from dataclasses import replace
 from difflib import get_close_matches
 from functools import cache
 from pathlib import Path
-from shlex import quote
 from typing import Any, Literal, NamedTuple
 
 import msgspec
@@ -21,7 +20,7 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.case.passes import mounted_images
 from mgsgraph.case.resection import resected_images
 from mgsgraph.case.schema import CaseInput, ImageInput, OrientationInput, SolverInput, SpiceInput
-from mgsgraph.errors import InputError, errors_from, require
+from mgsgraph.errors import InputError, command_line, errors_from, require
 from mgsgraph.files.decoding import CASE_FILE, read_toml, validated
 from mgsgraph.files.kinds import ImageKind, Kind, image_kind, image_name, kind_of, listed_names, refuse_foreign_kinds
 from mgsgraph.files.labels.aberration import Aberration
@@ -110,12 +109,13 @@ def _refuse_former(value: Any, where: str) -> None:
 
 def _refuse_other_kinds(path: Path) -> None:
     """Raise InputError for data, or a folder of them, in the place of a case file, and say how to make one."""
-    word = quote(str(path))
     if (path / PROJECT).is_file():
-        remedy = f"mgsgraph project solve {word} adjusts it, mgsgraph project status {word} says what is in it"
+        solve, status = (command_line("project", verb, path) for verb in ("solve", "status"))
+        remedy = f"{solve} adjusts it, {status} says what is in it"
         raise InputError(str(path), "a project", "a case file (TOML)", remedy)
     kind = "a folder" if path.is_dir() else kind_of(path)
-    require(kind in (None, Kind.CASE), str(path), str(kind), "a case file (TOML)", f"make one: mgsgraph new {word}")
+    remedy = f"make one: {command_line('new', path)}"
+    require(kind in (None, Kind.CASE), str(path), str(kind), "a case file (TOML)", remedy)
 
 
 def plain_image(entry: ImageInput, spice: SpiceInput | None, folder: Path, where: str) -> ImageInput:

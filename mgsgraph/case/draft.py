@@ -11,7 +11,6 @@ from contextlib import ExitStack, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from shlex import quote
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +21,7 @@ from mgsgraph.case.draft_images import DraftImage, draft_images, named_as, witho
 from mgsgraph.case.reading import case_of
 from mgsgraph.case.schema import TerrainInput
 from mgsgraph.case.terrain import MEGDR_SIGMAS, MegdrResolution, read_terrain_model
-from mgsgraph.errors import InputError, Unmeasured, require
+from mgsgraph.errors import InputError, Unmeasured, command_line, require
 from mgsgraph.files.altimetry.lidar import read_lidar
 from mgsgraph.files.altimetry.shots import read_shots
 from mgsgraph.files.kinds import INSTEAD, Kind, described, kind_of, listed_names
@@ -295,7 +294,7 @@ def draft_case(given: Sequence[Path], out: Path, name: str = "", replace: bool =
     remarks += [f"- A-priori sigmas of {accuracy.words}" for accuracy in (usual, *others)]
     remarks += [f"- Left out: {line}" for line in left_out]
     remarks += [] if measured else ["- Missing: tie points, ground control, or laser shots with measures"]
-    return Draft(text, tuple(map(in_line, remarks)), f"mgsgraph check {quote(str(out))}")
+    return Draft(text, tuple(map(in_line, remarks)), command_line("check", out))
 
 
 def _kinds(given: Sequence[Path]) -> tuple[dict[Path, Kind], dict[Path, str]]:

@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from shlex import quote
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,7 +27,7 @@ from mgsgraph.case.schema import (
     TiesInput,
 )
 from mgsgraph.case.terrain import as_grid, read_terrain_model
-from mgsgraph.errors import InputError, Unmeasured, errors_from
+from mgsgraph.errors import InputError, Unmeasured, command_line, errors_from
 from mgsgraph.files.altimetry.lidar import read_lidar
 from mgsgraph.files.altimetry.shots import read_shots
 from mgsgraph.files.datum import NAMED
@@ -166,7 +165,7 @@ def case_of(tables: CaseInput, path: Path, images: tuple[PushbroomImage, ...], l
         parts.add_points(*_with_checkpoints(control, PointClass.CONTROL, tables.checkpoints), 1.0)
     profiles = _add_laser(parts, tables, path) if laser else ()
     if not parts.count:
-        remedy = f"find ties in the images: mgsgraph match {quote(str(path))}"
+        remedy = f"find ties in the images: {command_line('match', path)}"
         raise Unmeasured(str(path), "neither ties nor ground control nor laser", "at least one of them", remedy)
     settings = tables.solver.settings
     held = np.array([image.held for image in tables.images])

@@ -28,6 +28,7 @@ from mgsgraph.cli.options import (
     print_solution,
     require_two,
 )
+from mgsgraph.errors import command_line
 
 if TYPE_CHECKING:
     from mgsgraph.adjustment.cluster.connection import Connection
@@ -83,8 +84,9 @@ def split(case: Path, out: Path) -> None:
     click.echo(f"{many(sum(sizes), 'image')} in {many(len(division.groups), 'group')} of {sizes[0]} to {sizes[-1]}")
     for what, names in (("Alone, in no group", division.alone), ("Now part of other groups", division.merged)):
         print_sentences(f"{what}: {some(names, len(names))}" if names else "")
-    match = "" if division.measured else f"mgsgraph match {out}/NAME/case.toml --out {out}/NAME/matches; then "
-    click.echo(f"The cases are in {out}; next: {match}mgsgraph batch {out} --projects")
+    match = command_line("match", out / "NAME" / "case.toml", "--out", out / "NAME" / "matches")
+    steps = [*([] if division.measured else [match]), command_line("batch", out, "--projects")]
+    click.echo(f"The cases are in {out}; next: {'; then '.join(steps)}")
 
 
 @click.command()

@@ -4,7 +4,6 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from shlex import quote
 from typing import TYPE_CHECKING
 
 import click
@@ -23,6 +22,7 @@ from mgsgraph.cli.options import (
     print_sentences,
     print_solution,
 )
+from mgsgraph.errors import command_line
 
 if TYPE_CHECKING:
     from mgsgraph.adjustment.incremental.impact import Impact
@@ -61,11 +61,11 @@ def init(project: Path, case: Path | None, settings: Path | None, name: str) -> 
     click.echo(f"{project}: a new project, {begun.words}")
     print_sentences(*begun.notes)
     if begun.waits:
-        click.echo(f"Its images wait for tie points; next: mgsgraph match {quote(str(project))}")
+        click.echo(f"Its images wait for tie points; next: {command_line('match', project)}")
     elif case is not None:
-        click.echo(f"Nothing is adjusted yet; next: mgsgraph project solve {quote(str(project))}")
+        click.echo(f"Nothing is adjusted yet; next: {command_line('project', 'solve', project)}")
     else:
-        click.echo(f"Next: mgsgraph project add {quote(str(project))} IMAGE...")
+        click.echo(f"Next: {command_line('project', 'add', project)} IMAGE...")
 
 
 @click.command()
@@ -318,7 +318,7 @@ def _print_impact(
     the adjustment has not converged.
     """
     if impact is None:
-        print_brief(*sentences, f"Nothing is adjusted yet; next: mgsgraph project solve {quote(str(project))}", more=0)
+        print_brief(*sentences, f"Nothing is adjusted yet; next: {command_line('project', 'solve', project)}", more=0)
         return
     print_brief(*sentences, *items(impact.sentences), "", *impact.tables_text())
     if table is not None:

@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -26,6 +25,7 @@ from mgsgraph.cli.options import (
     print_solution,
     require_two,
 )
+from mgsgraph.errors import command_line
 
 if TYPE_CHECKING:
     from mgsgraph.matching.settings import MatchSettings
@@ -96,7 +96,7 @@ def demo(
         print_solution(solution)
         sentences = [*tables, *sentences]
     click.echo("\n".join(sentences))
-    click.echo(f"Verdict: {state_of(solution)} ({elapsed():.0f} s). All of it: mgsgraph report {quote(str(out))}")
+    click.echo(f"Verdict: {state_of(solution)} ({elapsed():.0f} s). All of it: {command_line('report', out)}")
     ctx.exit(0 if is_valid(solution) else 1)
 
 
@@ -253,7 +253,7 @@ def match(
         with open_project(project, write=True) as opened:
             description = take_ties(opened, out / "network.pvl")
         click.echo(f"{project}: {description}; nothing is adjusted yet")
-        click.echo(f"Next: mgsgraph project solve {quote(str(project))}")
+        click.echo(f"Next: {command_line('project', 'solve', project)}")
 
 
 def _match(

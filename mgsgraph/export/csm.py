@@ -435,9 +435,7 @@ def _rotation_table(times: Array, matrices: Array, rates: Array, stated: Any) ->
         rotation_table(times, rotation.continuous(rotation.from_matrix(matrices)), np.eye(3)),
         time_dependent_frames=[frames[0], J2000] if frames else None,
         constant_frames=[frames[0]] if frames else None,
-        ck_table_start_time=float(times[0]),
-        ck_table_end_time=float(times[-1]),
-        ck_table_original_size=times.size,
+        **described_times("ck", times),
         angular_velocities=np.einsum("nji,nj->ni", matrices, rates).tolist(),
     )
 
@@ -447,10 +445,13 @@ def _position_table(tables: RefinedTables, body: AttitudeTable) -> StateTable:
     times = tables.epoch + tables.position_times
     motion = tables.velocities + np.cross(rate, tables.positions)
     inertial = [np.einsum("nji,nj->ni", to_body, vectors) for vectors in (tables.positions, motion)]
-    return msgspec.structs.replace(
-        state_table(times, *inertial), spk_table_start_time=float(times[0]), spk_table_end_time=float(times[-1]),
-        spk_table_original_size=times.size,
-    )  # fmt: skip
+    return msgspec.structs.replace(state_table(times, *inertial), **described_times("spk", times))
+
+
+def described_times(kind: str, times: Array) -> dict[str, Any]:
+    """Times (n,) of a table of support data, and what it says of them; `kind` is ck or spk."""
+    said = {"start_time": float(times[0]), "end_time": float(times[-1]), "original_size": times.size}
+    return {"ephemeris_times": times.tolist(), **{f"{kind}_table_{key}": value for key, value in said.items()}}
 
 
 def _no_sun(tables: RefinedTables) -> SunTable:

@@ -22,13 +22,14 @@ from hashlib import file_digest, sha256
 from itertools import chain, pairwise
 from pathlib import Path
 from platform import node
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.atomic_write import resolved
 from mgsgraph.errors import InputError
+from mgsgraph.export.csm import described_times
 from mgsgraph.export.spice_nodes import AdjustedNodes, adjusted_nodes
 from mgsgraph.files.cameras.label import is_map_projected, label_of
 from mgsgraph.files.labels.isis_cube import (
@@ -232,19 +233,13 @@ def _with_json(path: Path, folder: Path, tables: _Tables, instrument: int, words
     content = read_json(path)
     (_, turned), (_, moved) = tables[_POINTING], tables[_POSITION]
     attitudes = {"quaternions": turned[:, :4].tolist(), "angular_velocities": turned[:, 4:7].tolist()}
-    content["instrument_pointing"] |= attitudes | _times_as_json("ck", turned[:, 7])
+    content["instrument_pointing"] |= attitudes | described_times("ck", turned[:, 7])
     places = {"positions": moved[:, :3].tolist(), "velocities": moved[:, 3:6].tolist()}
-    content["instrument_position"] |= places | _times_as_json("spk", moved[:, 6])
+    content["instrument_position"] |= places | described_times("spk", moved[:, 6])
     kept = {key: value for key, value in content["naif_keywords"].items() if "LIGHTTIME_CORR" not in key.upper()}
     content |= {"naif_keywords": kept | {f"INS{instrument}_LIGHTTIME_CORRECTION": "NONE"}, PROGRAM: words}
     write_file(folder / path.name, json.dumps(content, indent=1, allow_nan=False))
     return [(folder / path.name, path)]
-
-
-def _times_as_json(kind: str, times: Array) -> dict[str, Any]:
-    """Of a table, and what it says of them."""
-    said = {"start_time": float(times[0]), "end_time": float(times[-1]), "original_size": times.size}
-    return {"ephemeris_times": times.tolist(), **{f"{kind}_table_{key}": value for key, value in said.items()}}
 
 
 def _with_blobs(path: Path, root: Block, folder: Path, tables: _Tables, time: str, words: str) -> _New:

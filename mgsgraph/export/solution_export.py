@@ -280,9 +280,9 @@ def _cubes(solution: Solution, folder: Path, settings: ExportSettings, path: Pat
     from mgsgraph.results.verdict import reason_sentences, state_of
 
     judged, state = verdict(solution), state_of(solution)
-    doubts = [f"The result is {state}: {reason}" for reason in reason_sentences(judged.reasons)[:1]]
+    doubts = [f"result is {state}: {reason}" for reason in reason_sentences(judged.reasons)[:1]]
     if settings.update and judged.state is State.INVALID:
-        found, remedy = f"the{doubts[0][3:].rstrip('.')}", "mend its input and adjust again, or leave out --update"
+        found, remedy = f"the {doubts[0].rstrip('.')}", "mend its input and adjust again, or leave out --update"
         raise InputError(str(path), found, "a valid or SUSPECT one for cubes in place", remedy)
     record, when = _record_of(path)
     case = settings.case or case_of(record.parent)
@@ -298,7 +298,7 @@ def _cubes(solution: Solution, folder: Path, settings: ExportSettings, path: Pat
     files = {image.name: case.parent / str(image.cube or image.label) for image in images}
     paths, notes, new = write_cubes(solution, folder, files, when, state)
     placed = ["Each copy takes the place of its cube, too."] * settings.update
-    return _Written(paths, (*doubts, *notes, *placed), new)
+    return _Written(paths, (*(f"The {doubt}" for doubt in doubts), *notes, *placed), new)
 
 
 _WRITERS: dict[Target, Callable[[Solution, Path, ExportSettings, Path], _Written]] = {

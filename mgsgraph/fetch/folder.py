@@ -5,9 +5,8 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from shlex import quote
 
-from mgsgraph.errors import InputError, errors_from, printable, require
+from mgsgraph.errors import InputError, command_line, errors_from, printable, require
 from mgsgraph.fetch.camera_search import Box, shots_in
 from mgsgraph.fetch.case_file import (
     CASE,
@@ -78,16 +77,12 @@ class Fetched(Record):
         """What to type next; none for a single image."""
         if len(self.images) < 2:
             return []
-
-        def at(name: str) -> str:
-            return quote(str(self.folder / name))
-
-        project = at(_PROJECT)
+        project = self.folder / _PROJECT
         return [
-            f"mgsgraph project init {project} --case {at(CASE)}",
-            f"mgsgraph match {project}",
-            f"mgsgraph project solve {project}",
-            f"mgsgraph dem {project} --out {at('dem')}",
+            command_line("project", "init", project, "--case", self.folder / CASE),
+            command_line("match", project),
+            command_line("project", "solve", project),
+            command_line("dem", project, "--out", self.folder / "dem"),
         ]
 
 

@@ -105,7 +105,7 @@ class SharedEffects:
 
     def bends(self, image: int) -> bool:
         """Whether shared unknowns change the slope of an image's detector line."""
-        return _bent(self._network, image, self.acting["rays"][image])
+        return any(bends(self._network, k, image) for k in self.acting["rays"][image])
 
     def acts_on_rays(self, image: int) -> bool:
         """Whether shared unknowns act on an image's rays."""
@@ -181,14 +181,10 @@ def common_slopes(network: Network) -> Array:
     """
     slopes = np.full((len(network.images), 2), np.nan)
     for j, (image, acting) in enumerate(zip(network.images, acting_on(network, "rays"), strict=True)):
-        own = network.axes_of(j) is not None or _bent(network, j, acting)
+        own = network.axes_of(j) is not None or any(bends(network, k, j) for k in acting)
         if not own and isinstance(image.interior.distortion, NoDistortion):
             slopes[j] = image.interior.focal_plane(np.zeros(1))[1][0]
     return slopes
-
-
-def _bent(network: Network, image: int, acting: Sequence[int]) -> bool:
-    return any(bends(network, k, image) for k in acting)
 
 
 def bends(network: Network, shared: int, image: int) -> bool:

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from shlex import quote
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from mgsgraph.case.case_file import decode, plain_image, read_image, read_images
 from mgsgraph.case.passes import members
 from mgsgraph.case.reading import Case, picture_of, read_case
 from mgsgraph.case.schema import ImageInput, ShotsInput
-from mgsgraph.errors import InputError, require
+from mgsgraph.errors import InputError, command_line, require
 from mgsgraph.files.altimetry.lidar import read_lidar
 from mgsgraph.files.altimetry.shots import read_shots
 from mgsgraph.files.kinds import image_kind, image_name
@@ -326,7 +325,7 @@ def _with_names(
 def _require_new(names: Sequence[str], stored_names: Sequence[str], where: str) -> None:
     for k, name in enumerate(names):
         if name in stored_names:
-            remedy = f"remove it first to replace it: mgsgraph project remove {quote(where)} {quote(name)}"
+            remedy = f"remove it first to replace it: {command_line('project', 'remove', where, name)}"
             raise InputError(where, f"the image {name!r} is in the project already", "a new image", remedy)
         if name in names[:k]:
             raise InputError(where, f"the image {name!r} is given twice", "each image once", "name them: NAME=FILE")

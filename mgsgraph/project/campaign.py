@@ -204,7 +204,8 @@ def _refusal(path: Path, error: OSError) -> InputError:
 
 Progress = Callable[[int, int, CampaignEntry | None], None]
 """Called with the number of cases that are over, of all that are due, and the one just over (None at first)."""
-SUFFIX, _ELSEWHERE, _MEND = ".toml", "choose another --out", "take it away"
+SUFFIX = ".toml"
+_ELSEWHERE, _MEND = "choose another --out", "take it away"
 _PLAIN = "case"
 """Stem of a case file that says nothing; its folder's name is taken instead."""
 _BESIDE = {".lbl", ".img", ".imq", ".cub", ".pvl", ".isd", ".json"}
@@ -504,7 +505,8 @@ def _workers(cluster: str | None, insecure: bool, record: Record, due: Sequence[
 
 def summary(campaign: Campaign) -> str:
     """Counts, and a line for each of the cases that failed or did not converge."""
-    total, kept, states = len(campaign.entries), len(campaign.kept), ("done", "no result", "not converged", "failed")
+    total, kept = len(campaign.entries), len(campaign.kept)
+    states = "done", "no result", "not converged", "failed"
     counts = ", ".join(f"{number} {status}" for status in states if (number := campaign.count(status)))
     earlier = f" ({kept} of them earlier, and nothing has changed since)" if kept else ""
     troubled = [f"- {line(entry)}" for entry in campaign.entries if entry.status != "done"]

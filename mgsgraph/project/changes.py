@@ -4,7 +4,6 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
-from shlex import quote
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -15,7 +14,7 @@ from mgsgraph.adjustment.incremental.state import Bundle, require_one_body, with
 from mgsgraph.adjustment.incremental.trajectories import extended, shortened, turned_bundles, unknowns_of
 from mgsgraph.adjustment.settings import Device, SolverSettings
 from mgsgraph.case.case_file import decode
-from mgsgraph.errors import InputError, errors_from
+from mgsgraph.errors import InputError, command_line, errors_from, require
 from mgsgraph.files.output.folders import PROJECT
 from mgsgraph.network import Network
 from mgsgraph.network.duplicates import duplicates
@@ -189,9 +188,9 @@ def solve_project(
     settings = settings if device is None else replace(settings, device=device)
     if not store.members():
         found = "nothing to adjust: no measure in any image"
-        remedy = f"mgsgraph project add {quote(str(project.folder))} IMAGE"
+        remedy = command_line("project", "add", project.folder, "IMAGE")
         if project.case is not None:
-            remedy = f"find tie points in them: mgsgraph match {quote(str(project.folder))}"
+            remedy = f"find tie points in them: {command_line('match', project.folder)}"
         raise InputError(str(project.folder), found, "tie points or laser shots", remedy)
     check: BatchCheck | None = None
     with errors_from(str(project.folder)):
@@ -216,18 +215,22 @@ def solve_case(
     """Solution of the project of a case, which is made where there is none. Images that the case has and an earlier
     project does not are added with their points. Each step is complete or absent: the call may be killed and repeated.
     """
-    if not (folder / PROJECT).is_file():
+    exists = (folder / PROJECT).is_file()
+    if not exists:
         create_project(folder, case=case)
-    else:
-        with open_project(folder, write=True) as project:
-            if settings_of_case(case) != project.settings:
-                found, remedy = "other settings than its project has", f"move {folder} away to have a new project"
-                raise InputError(str(case), found, remedy=remedy)
-            addition = read_addition(project, [ImageArgument(case)], (), (), grown=True)
-            if addition.images:
-                add(project, addition, "the case has grown")
     with open_project(folder, write=True) as project:
+        if exists:
+            _add_what_has_come(case, project)
         return solve_project(project, figures, tables, device=device).solution
+
+
+def _add_what_has_come(case: Path, project: Project) -> None:
+    """Add the images that a case has and its project has not, with their points."""
+    found, remedy = "other settings than its project has", f"move {project.folder} away to have a new project"
+    require(settings_of_case(case) == project.settings, str(case), found, remedy=remedy)
+    addition = read_addition(project, [ImageArgument(case)], (), (), grown=True)
+    if addition.images:
+        add(project, addition, "the case has grown")
 
 
 def store_unadjusted(store: ProjectStore, addition: Addition) -> None:
@@ -381,7 +384,7 @@ def waiting_case(project: Project) -> Path:
         raise InputError(
             str(project.folder), "it has measures already", "a project whose images wait for tie points",
             "find others: mgsgraph match CASE --out MATCHES, "
-            f"mgsgraph project add {quote(str(project.folder))} --ties NETWORK",
+            + command_line("project", "add", project.folder, "--ties", "NETWORK"),
         )
     if project.case is None:
         raise InputError(
@@ -392,7 +395,7 @@ def waiting_case(project: Project) -> Path:
     if set(stated) != set(stored):
         raise InputError(
             str(project.case), f"the images {', '.join(stated)}", f"those of {project.folder}, {', '.join(stored)}",
-            f"begin another project with it: mgsgraph project init PROJECT --case {project.case}",
+            f"begin another project with it: {command_line('project', 'init', 'PROJECT', '--case', project.case)}",
         )
     return project.case
 

@@ -9,7 +9,6 @@ the change. 0 means no checksum: the user has changed the file, and the next cha
 import functools
 import inspect
 import re
-import shlex
 import sqlite3
 import struct
 import zlib
@@ -19,7 +18,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 from urllib.parse import quote
 
-from mgsgraph.errors import InputError, errors_from, require
+from mgsgraph.errors import InputError, command_line, errors_from, require
 from mgsgraph.files.opening import understood
 from mgsgraph.files.output.folders import PROJECT
 from mgsgraph.project.schema import APPLICATION, FORMAT, TABLES
@@ -167,15 +166,15 @@ def _with_read_errors(method: Callable[..., Any] | None) -> Callable[..., Any]:
 
 def _project_file(folder: Path) -> Path:
     """Path of the project's file; InputError for what is wrong without opening it."""
-    path, init_remedy = folder / PROJECT, f"make one with: mgsgraph project init {shlex.quote(str(folder))}"
+    path, init_remedy = folder / PROJECT, f"make one with: {command_line('project', 'init', folder)}"
     try:
         require(folder.exists(), str(folder), "no such project", remedy=init_remedy)
         if not folder.is_dir():
-            case = f"make one of the case: mgsgraph project init PROJECT --case {shlex.quote(str(folder))}"
+            case = f"make one of the case: {command_line('project', 'init', 'PROJECT', '--case', folder)}"
             remedy = case if folder.suffix == ".toml" else "give the folder that it is in"
             raise InputError(str(folder), "is a file", "the folder of a project", remedy)
         if not path.is_file():
-            alternative = f"begin one in a folder: mgsgraph project init {shlex.quote(str(folder / 'project'))}"
+            alternative = f"begin one in a folder: {command_line('project', 'init', folder / 'project')}"
             remedy = f"give the folder of a project, or {alternative}" if any(folder.iterdir()) else init_remedy
             raise InputError(str(folder), f"is no project: there is no {PROJECT} in it", remedy=remedy)
         empty = path.stat().st_size == 0

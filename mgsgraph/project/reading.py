@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from shlex import quote
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -13,7 +12,7 @@ from mgsgraph.case.case_file import decode, image_of, read_images
 from mgsgraph.case.passes import members
 from mgsgraph.case.schema import CaseInput, TerrainInput
 from mgsgraph.case.terrain import as_grid, read_terrain_model
-from mgsgraph.errors import InputError, errors_from, require
+from mgsgraph.errors import InputError, command_line, errors_from, require
 from mgsgraph.files.altimetry.shots import read_shots
 from mgsgraph.files.opening import understood
 from mgsgraph.files.output.folders import PROJECT
@@ -78,7 +77,7 @@ def results_of(path: Path) -> Results:
     with open_project(path) as project:
         last = project.last_results()
         if last is None or last.folder is None:
-            found, remedy = "a project without a batch solution", f"make one: mgsgraph project solve {quote(str(path))}"
+            found, remedy = "a project without a batch solution", f"make one: {command_line('project', 'solve', path)}"
             raise InputError(str(path), found, "results of an adjustment", remedy)
         warning = _changes_since(project, last.change)
         return Results(path / last.folder, _case_of_all(project), project.matched_ties, warning)
@@ -118,7 +117,7 @@ def _changes_since(project: Project, number: int) -> str:
     if not later_changes:
         return ""
     descriptions = ", ".join(f"{change.verb} {change.what}" for change in later_changes)
-    remedy = f"for one of everything: mgsgraph project solve {quote(str(project.folder))}"
+    remedy = f"for one of everything: {command_line('project', 'solve', project.folder)}"
     return f"The project has changed since this solution ({descriptions}); {remedy}"
 
 
@@ -223,8 +222,8 @@ def _adjusted(project: Project, where: str) -> "IncrementalAdjustment":
     from mgsgraph.project.changes import incremental, is_solved
 
     if not project.store.image_names() or not is_solved(project):
-        remedy = f"mgsgraph project solve {quote(where)}"
-        raise InputError(where, "a project without a solution", "an adjusted one", remedy)
+        solve = command_line("project", "solve", where)
+        raise InputError(where, "a project without a solution", "an adjusted one", solve)
     return incremental(project)
 
 

@@ -75,11 +75,31 @@ def split_case(case: Path, out: Path) -> Division:
         expected, remedy = "images, ties, shots and a terrain model", "take it out, or adjust the case as a whole"
         require(not getattr(tables, name), f"{case}, {name}", "a table that belongs to all images", expected, remedy)
     networks = [read_networks(case.parent / entry.network)[0] for entry in tables.tie_groups]
+    found = _connected(tables, networks, case)
+    connected = [group for group in found if len(group.images) > 1]
+    folders = {re.sub(r"[^\w.-]", "-", group.images[0].name): group for group in connected}
+    clash = "names that differ in punctuation alone"
+    require(len(folders) == len(connected), f"{case}, images", clash, "names that can be of folders")
+    earlier = [path for path in sorted(out.glob(f"*/{_CASE}")) if head_of(path, len(_HEAD)) == _HEAD.encode()]
+    for path in (out / folder / _CASE for folder in folders):  # before anything is written
+        require(path in earlier or not path.exists(), str(path), "a case file of yours", remedy="choose another --out")
+    for folder, group in folders.items():
+        _write(group, networks, tables, case, out / folder / _CASE)
+    merged = [path for path in earlier if path.parent.name not in folders]
+    for path in merged:
+        path.unlink()
+    named = {folder: tuple(image.name for image in group.images) for folder, group in folders.items()}
+    alone = tuple(group.images[0].name for group in found if len(group.images) == 1)
+    return Division(named, alone, tuple(path.parent.name for path in merged), bool(networks))
+
+
+def _connected(tables: CaseInput, networks: Sequence[ControlNetwork], case: Path) -> list[_Group]:
+    """Groups of connected images, each with its profiles and its points; an image that nothing connects is one."""
     profiles, links = _links(tables, networks, case)
     number = {image.name: j for j, image in enumerate(tables.images)}
     pairs = {pair for link in links for pair in pairwise(sorted(number[name] for name in link if name in number))}
-    members = groups(len(number), np.array(sorted(pairs), dtype=np.int64).reshape(-1, 2))
-    found = [_Group([tables.images[j] for j in images], [], [[] for _ in networks]) for images in members]
+    parts = groups(len(number), np.array(sorted(pairs), dtype=np.int64).reshape(-1, 2))
+    found = [_Group([tables.images[j] for j in part], [], [[] for _ in networks]) for part in parts]
     group_of = {image.name: group for group in found for image in group.images}
     for entry, images in zip(tables.shots, profiles, strict=True):
         group_of[images[0]].shots.append(entry)
@@ -88,21 +108,7 @@ def split_case(case: Path, out: Path) -> Division:
             seen = [name for name in dict.fromkeys(m.serial_number for m in point.measures) if name in group_of]
             if len(seen) >= (2 if point.type == PointType.FREE else 1):
                 group_of[seen[0]].points[k].append(point)
-    connected = [group for group in found if len(group.images) > 1]
-    folders = {re.sub(r"[^\w.-]", "-", group.images[0].name): group for group in connected}
-    clash = "names that differ in punctuation alone"
-    require(len(folders) == len(connected), f"{case}, images", clash, "names that can be of folders")
-    earlier = [path for path in sorted(out.glob(f"*/{_CASE}")) if head_of(path, len(_HEAD)) == _HEAD.encode()]
-    for folder, group in folders.items():
-        path = out / folder / _CASE
-        require(path in earlier or not path.exists(), str(path), "a case file of yours", remedy="choose another --out")
-        _write(group, networks, tables, case, path)
-    merged = [path for path in earlier if path.parent.name not in folders]
-    for path in merged:
-        path.unlink()
-    named = {folder: tuple(image.name for image in group.images) for folder, group in folders.items()}
-    alone = tuple(group.images[0].name for group in found if len(group.images) == 1)
-    return Division(named, alone, tuple(path.parent.name for path in merged), bool(networks))
+    return found
 
 
 def _links(

@@ -4,12 +4,11 @@ the shots on them, so that every later adjustment uses them.
 
 from dataclasses import replace
 from pathlib import Path
-from shlex import quote
 from typing import NamedTuple
 
 from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
 from mgsgraph.case.reading import Case, read_case
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, command_line
 from mgsgraph.network import PointClass
 from mgsgraph.project.former import former_content
 from mgsgraph.project.project import Project
@@ -66,7 +65,7 @@ def _case_of_project(project: Project, settings: ReliefSettings) -> tuple[Case, 
     """The case of a project with the project's network in it, and the names of images that both have."""
     if project.case is None or not project.store.members():
         reason = "no case that names its images' pixels" if project.case is None else "nothing to adjust"
-        remedy = f"mgsgraph project init {quote(str(project.folder))} --case CASE (with pixels, ties and profiles)"
+        remedy = f"{command_line('project', 'init', project.folder)} --case CASE (with pixels, ties and profiles)"
         raise InputError(str(project.folder), reason, "a project made with a case, and measures", remedy)
     network = replace(project.store.network(), stereo=None)
     case = read_case(project.case, ties=project.matched_ties)

@@ -2,10 +2,10 @@
 
 from collections import Counter, defaultdict
 from itertools import pairwise
-from shlex import quote
 
 import numpy as np
 
+from mgsgraph.errors import command_line
 from mgsgraph.files.opening import understood
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import groups
@@ -95,7 +95,7 @@ def _solutions(project: Project, images: bool) -> list[str]:
     last, batch = project.last_solution(), project.last_solution("batch")
     if last is None:
         verb = "project solve" if project.store.members() or project.case is None else "match"
-        return [f"Nothing is adjusted yet{f'; next: mgsgraph {verb} {quote(str(project.folder))}' if images else ''}."]
+        return [f"Nothing is adjusted yet{f'; next: {command_line(*verb.split(), project.folder)}' if images else ''}."]
     lines = [_solution(last)]
     if last.kind != "batch" and batch is not None:
         lines.append(_solution(batch))
@@ -107,7 +107,7 @@ def _solutions(project: Project, images: bool) -> list[str]:
         if change.verb in CHANGING and (batch is None or change.number > batch.change)
     ]  # fmt: skip
     changes = many(len(unchecked), "change") if unchecked else "No change"
-    next_step = f"; next: mgsgraph project solve {quote(str(project.folder))}" if unchecked else ""
+    next_step = f"; next: {command_line('project', 'solve', project.folder)}" if unchecked else ""
     return [*lines, f"{changes} since the last batch adjustment{next_step}."]
 
 

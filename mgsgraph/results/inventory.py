@@ -4,7 +4,6 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from shlex import quote
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from mgsgraph.case.case_file import decode, read_images
 from mgsgraph.case.passes import members
 from mgsgraph.case.reading import Case, picture_of, read_altimetry, read_profile
 from mgsgraph.case.schema import CaseInput
-from mgsgraph.errors import Unmeasured, WeakNetwork
+from mgsgraph.errors import Unmeasured, WeakNetwork, command_line
 from mgsgraph.files.labels.accuracy import accuracy_of, sigmas_in_words
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.files.output.table import Table
@@ -119,10 +118,8 @@ def prior_statements(priors: Iterable[tuple[PushbroomImage, OrientationPrior]], 
 
 def _expected_precision(network: Network, prediction: Prediction) -> Iterator[str]:
     """How well each class of points will be known, and its nominal residuals."""
-    checkpoints = network.points.checkpoints
-    groups = [(f"{each.name.lower()} points", of) for each, of in points_in_words(network)]
-    groups = [(name, np.setdiff1d(of, checkpoints)) for name, of in groups] + [("checkpoints", checkpoints)]
-    for name, points in groups:
+    groups = [(f"{each.name.lower()} points", points) for each, points in points_in_words(network)]
+    for name, points in [*groups, ("checkpoints", network.points.checkpoints)]:
         determined = points[np.all(np.isfinite(prediction.covariances[points]), axis=(1, 2))]
         if not determined.size:
             continue
@@ -168,7 +165,7 @@ def images_inventory(path: Path, unmeasured: Unmeasured | None = None) -> str | 
     without_pixels = [entry.name for entry in case_input.images if picture_of(entry, path.parent) is None]
     folder = next((path.parent / group.network for group in case_input.tie_groups), None)
     sentences = [f"Its tie points, {folder}, are not there yet."] if folder is not None else []
-    next_step = f"mgsgraph match {quote(str(path))} --out {'MATCHES' if folder is None else quote(str(folder.parent))}"
+    next_step = command_line("match", path, "--out", "MATCHES" if folder is None else folder.parent)
     if not pairs:
         next_step = "an image that overlaps (mgsgraph new)"
     elif without_pixels:

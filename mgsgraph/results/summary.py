@@ -70,7 +70,7 @@ def _fit_sentences(solution: Solution) -> Iterator[str]:
 def _point_sentences(solution: Solution) -> Iterator[str]:
     """Median sigmas of each class of points, horizontal and vertical, and how far it moved."""
     for point_class, indices in points_in_words(solution.network):
-        known = np.setdiff1d(indices[solution.determined[indices]], solution.network.points.checkpoints)
+        known = indices[solution.determined[indices]]
         if not known.size:
             continue
         sigmas = np.median(local_sigmas(solution.covariances[known], solution.places[known]), axis=0)
@@ -84,11 +84,12 @@ def _point_sentences(solution: Solution) -> Iterator[str]:
 
 def points_in_words(network: Network) -> Iterator[tuple[PointClass, Index]]:
     """What points are called in sentences, each with the indices of its points: those of a network of ties that are
-    Constrained or Fixed are control points.
+    Constrained or Fixed are control points, and checkpoints are none of them.
     """
     known = (network.points.classes == PointClass.TIE) & (network.points.kinds != PointKind.FREE)
     classes = np.where(known, PointClass.CONTROL, network.points.classes)
-    yield from ((each, np.flatnonzero(classes == each)) for each in PointClass if np.any(classes == each))
+    for each in PointClass:
+        yield each, np.setdiff1d(np.flatnonzero(classes == each), network.points.checkpoints)
 
 
 def _convergence_remark(network: Network, ties: Index, height_sigma: float) -> str:

@@ -6,7 +6,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from shlex import quote
 from typing import Literal, NamedTuple, TypeVar
 
 import numpy as np
@@ -21,7 +20,7 @@ from mgsgraph.analysis.posterior import Posterior, posterior_of_points
 from mgsgraph.analysis.statistics import solution_connectivity
 from mgsgraph.case.case_file import decode
 from mgsgraph.case.reading import picture_of, read_case
-from mgsgraph.errors import InputError, MgsgraphError, require
+from mgsgraph.errors import InputError, MgsgraphError, command_line, require
 from mgsgraph.files.networks.tie_points import TiePoints
 from mgsgraph.files.output.folders import PROJECT
 from mgsgraph.geometry.body import centre_of, geodetic, plane_coordinates
@@ -511,7 +510,7 @@ def _project(path: Path, case: Path | None) -> State:
 
 def _warning(project: Project) -> str:
     """Warning about a project that differs from its last batch solution."""
-    command = f"mgsgraph project solve {quote(str(project.folder))}"
+    command = command_line("project", "solve", project.folder)
     if not is_solved(project):
         return f"Nothing has been adjusted yet: {command}"
     last, changes = project.last_results(), project.changes(1)

@@ -5,13 +5,12 @@ points, images and profiles, and why something can't be done.
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from shlex import quote
 from typing import Any
 
 import numpy as np
 
 from mgsgraph.analysis.verdict import Cause, Reason, verdict
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, command_line
 from mgsgraph.matching.patches import has_opencv
 from mgsgraph.network import PointClass
 from mgsgraph.project.project import open_project
@@ -94,7 +93,7 @@ def _possible(opened: Opened) -> dict[str, Any]:
         with suppress(InputError):
             case = case_with_results(opened.path).case
         reasons |= dict.fromkeys(("solve", "match", "align", "add"), "Only a project can be changed.")
-        return {"reasons": reasons, "command": f"mgsgraph project init PROJECT --case {quote(str(case))}", "next": ""}
+        return {"reasons": reasons, "command": command_line("project", "init", "PROJECT", "--case", case), "next": ""}
     with open_project(opened.path) as project:
         has_case, waits = project.case is not None, not project.store.members()
     pixels = "" if has_opencv() else "It needs OpenCV: pip install 'mgsgraph[match]'"

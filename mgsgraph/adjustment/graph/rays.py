@@ -29,7 +29,7 @@ from mgsgraph.network.effects import SharedEffects, common_looks
 _SHARE = 1 << 16
 """Rays that a thread takes at a time."""
 _BLOCK = 1024
-"""Rays whose places are worked out at a time."""
+"""Rays whose components are stored at a time."""
 _Rays = NDArray[np.int32]
 """(m,) numbers of rays in the network; int32, since there are many."""
 
@@ -75,10 +75,10 @@ class RayConstants:
         self.among = np.empty(slot.size, dtype=np.int32)
         """(k,) place of each ray among all observations; int32, for there are many."""
         self._table = network.rays.point, patterns.point_index, piece_of, piece, before, self.among
-        """What `place_of` takes."""
+        """What `constants_of` takes."""
         places_of_rays(slot, self._table)
-        observations = int(piece[-1, 4] + piece[-1, 2] * np.diff(patterns.first)[piece[-1, 0]]) if piece.size else 0
-        self._by_image, ends = by_image(network.rays.image, self.among, observations, len(network.images))
+        last = int(self.among.max(initial=-1))
+        self._by_image, ends = by_image(network.rays.image, self.among, last, len(network.images))
         self._ends: list[int] = ends.tolist()
         """(k,) rays in the order of their images, and where those of each begin."""
 
@@ -246,11 +246,11 @@ def places_of_rays(slot, table):
 
 
 @cached_kernel
-def by_image(image, among, observations, images):
+def by_image(image, among, last, images):
     """Rays (k,) image after image, those of an image in the order of the layout, and where those of each begin
-    (images + 1,). `among` as of `RayConstants`, of so many `observations`.
+    (images + 1,). `among` as of `RayConstants`; `last` is the largest.
     """
-    laid = np.full(observations, -1, dtype=np.int32)
+    laid = np.full(last + 1, -1, dtype=np.int32)
     begin, order = np.zeros(images + 1, dtype=np.int64), np.empty(image.size, dtype=np.int32)
     for k in range(image.size):
         laid[among[k]] = k

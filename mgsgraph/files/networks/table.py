@@ -15,13 +15,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from shlex import quote
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from mgsgraph.errors import InputError, require
+from mgsgraph.errors import InputError, command_line, require
 from mgsgraph.files.csv_columns import (
     CARTESIAN,
     FLAGS,
@@ -116,7 +115,7 @@ def read_tie_points(
         return points.tie_points(lambda k, *_: f"{path}, point {points.ids[k]}", ellipsoid)
     if ending in _OF_OTHERS:
         expected = "a control network (.pvl, .net) or a table (.csv, .parquet)"
-        raise InputError(str(path), f"a {ending} file", expected, f"mgsgraph convert {quote(path.name)} network.net")
+        raise InputError(str(path), f"a {ending} file", expected, command_line("convert", path.name, "network.net"))
     return read_control_network(path, ellipsoid)
 
 
