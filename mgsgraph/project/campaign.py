@@ -262,9 +262,8 @@ def result_folders(cases: Iterable[Path], taken: Mapping[Path, str]) -> dict[Pat
         parts = parts if case.stem == _PLAIN and parts else (*parts, case.stem)
         ends = ["-".join(parts[-count:]) for count in range(1, len(parts) + 1)]
         name = next((end for end in ends if end not in used), ends[-1])
-        if name in used:
-            found = f"its results would go to {name!r}, like those of {used[name]}"
-            raise InputError(str(case), found, "another file name")
+        found = f"its results would go to {name!r}, like those of {used.get(name)}"
+        require(name not in used, str(case), found, "another file name")
         names[case], used[name] = name, case
     return names
 
@@ -483,12 +482,11 @@ def _tasks(cases: tuple[Path, ...], out: Path, record: Record, overrides: Overri
 
 def _is_due(task: CaseTask, last: CampaignEntry | None, retry: bool) -> bool:
     """Whether a case has to be done: never done, done otherwise or from other inputs, or its results are gone."""
-    if last is None or (retry and last.status != "done"):
-        return True
-    if last.overrides != task.overrides or last.checksums != checksums(task.case):
+    if last is None or (retry and last.status != "done") or last.overrides != task.overrides:
         return True
     result = PROJECT if task.overrides.projects else RESULT
-    return last.status != "failed" and not (task.out / task.folder / result).is_file()
+    gone = last.status != "failed" and not (task.out / task.folder / result).is_file()
+    return gone or last.checksums != checksums(task.case)
 
 
 @contextmanager

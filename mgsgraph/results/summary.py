@@ -88,8 +88,8 @@ def points_in_words(network: Network) -> Iterator[tuple[PointClass, Index]]:
     """
     known = (network.points.classes == PointClass.TIE) & (network.points.kinds != PointKind.FREE)
     classes = np.where(known, PointClass.CONTROL, network.points.classes)
-    for each in PointClass:
-        yield each, np.setdiff1d(np.flatnonzero(classes == each), network.points.checkpoints)
+    classes[network.points.checkpoints] = -1
+    yield from ((each, np.flatnonzero(classes == each)) for each in PointClass if np.any(classes == each))
 
 
 def _convergence_remark(network: Network, ties: Index, height_sigma: float) -> str:
