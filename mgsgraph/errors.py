@@ -35,6 +35,13 @@ def command_line(*words: object) -> str:
     return shlex.join(["mgsgraph", *map(str, words)])
 
 
+def is_interrupt(error: BaseException | None) -> bool:
+    """Whether an error is a KeyboardInterrupt, or what a library has made of one."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__context__
+    return error is not None
+
+
 class MgsgraphError(Exception):
     """Anything the program says about its input or its result; the command line prints it as one line.
 

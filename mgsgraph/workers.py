@@ -82,8 +82,9 @@ def _answer(reading: Callable[[], Any], sender: int, folder: str) -> None:
     """The life of the fork: it sends what it found, or the error."""
     import resource  # which systems without forks lack
 
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGALRM):
+    for number in (signal.SIGTERM, signal.SIGALRM):
         signal.signal(number, signal.SIG_DFL)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches both: this process's end must not look like an error
     signal.alarm(_PATIENCE)
     silence = os.open(os.devnull, os.O_WRONLY)
     for stream in (1, 2):

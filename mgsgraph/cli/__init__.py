@@ -14,7 +14,7 @@ import click
 
 from mgsgraph.cli.options import guard_streams
 from mgsgraph.cli.verbs import GROUPS, REMOVED, RENAMED, VERBS
-from mgsgraph.errors import MgsgraphError, one_line
+from mgsgraph.errors import MgsgraphError, is_interrupt, one_line
 
 _SIGNALS = signal.SIGINT, signal.SIGTERM, signal.SIGALRM
 """Signals that end the program; files are then unchanged or complete."""
@@ -97,7 +97,7 @@ def main() -> None:
         interrupted = True
         importing = _importing(frame)  # an interrupt there would print a library's traceback: try again later
         signal.setitimer(signal.ITIMER_REAL, _RETRY_IN_IMPORT if importing else _RETRY)
-        if not importing and not _ending():
+        if not importing and not is_interrupt(sys.exception()):  # none is being handled already
             raise KeyboardInterrupt
 
     for number in _SIGNALS:  # so that nothing half-written stays behind
@@ -140,14 +140,6 @@ def _importing(frame: FrameType | None) -> bool:
     while frame is not None and not frame.f_code.co_filename.startswith("<frozen importlib"):
         frame = frame.f_back
     return frame is not None
-
-
-def _ending() -> bool:
-    """Whether a KeyboardInterrupt is already being handled."""
-    error = sys.exception()
-    while error is not None and not isinstance(error, KeyboardInterrupt):
-        error = error.__context__
-    return error is not None
 
 
 def _require_memory() -> None:

@@ -22,7 +22,7 @@ from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Literal, Self, get_args
 
 import msgspec
 
@@ -33,7 +33,7 @@ from mgsgraph.atomic_write import resolved, sweep
 from mgsgraph.case.case_file import decode
 from mgsgraph.case.reading import adjust, read_case
 from mgsgraph.case.terrain import count_files
-from mgsgraph.errors import InputError, MgsgraphError, require
+from mgsgraph.errors import InputError, MgsgraphError, is_interrupt, require
 from mgsgraph.files.opening import sha256_of
 from mgsgraph.files.output.folders import MATCH, PROJECT, require_replaceable
 from mgsgraph.files.output.folders import RECORD as RESULT
@@ -357,12 +357,13 @@ def run_case(task: CaseTask) -> CampaignEntry:
     began, sums = time.perf_counter(), checksums(task.case)
     try:
         outcome = _adjusted(task)
-    except MgsgraphError as error:
-        outcome = {"message": str(error)}
-    except MemoryError:
-        outcome = {"message": "out of memory; give the machine more or leave images out"}
     except Exception as error:  # one case must not end the others
-        outcome = {"message": f"unforeseen {type(error).__name__}: {error}; `mgsgraph adjust` shows where"}
+        if is_interrupt(error):
+            raise KeyboardInterrupt from error
+        unforeseen = f"unforeseen {type(error).__name__}: {error}; `mgsgraph adjust` shows where"
+        outcome = {"message": str(error) if isinstance(error, MgsgraphError) else unforeseen}
+        if isinstance(error, MemoryError):
+            outcome = {"message": "out of memory; give the machine more or leave images out"}
     return _ended(task, sums, time.perf_counter() - began, outcome)
 
 
@@ -504,8 +505,7 @@ def _workers(cluster: str | None, insecure: bool, record: Record, due: Sequence[
 def summary(campaign: Campaign) -> str:
     """Counts, and a line for each of the cases that failed or did not converge."""
     total, kept = len(campaign.entries), len(campaign.kept)
-    states = "done", "no result", "not converged", "failed"
-    counts = ", ".join(f"{number} {status}" for status in states if (number := campaign.count(status)))
+    counts = ", ".join(f"{number} {status}" for status in get_args(Status) if (number := campaign.count(status)))
     earlier = f" ({kept} of them earlier, and nothing has changed since)" if kept else ""
     troubled = [f"- {line(entry)}" for entry in campaign.entries if entry.status != "done"]
     return "\n".join([f"{many(total, 'case')}: {counts}{earlier}", *troubled])

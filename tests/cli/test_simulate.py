@@ -240,6 +240,7 @@ def test_an_interrupt_leaves_the_record_true(place: tuple[str, ...], sites: Path
     assert "Traceback" not in errors
     over = folders(out / "campaign.jsonl")
     assert 0 < len(over) < 16
+    assert '"status":"failed"' not in (out / "campaign.jsonl").read_text(encoding="utf-8")
     assert all((out / name / "solution.json").exists() for name in over)
     assert not [path for path in out.iterdir() if path.name.startswith(".")]
     done = run("batch", sites, "--out", out, "--no-figures")

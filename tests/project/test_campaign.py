@@ -166,6 +166,21 @@ def test_a_fault_of_the_program_is_one_failed_case(run: Run, monkeypatch: pytest
     assert "\n" not in line(done.entries[0])
 
 
+def test_what_a_library_makes_of_an_interrupt_is_no_failed_case(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def faulty(path: Path, laser: bool = True) -> Any:
+        try:
+            raise KeyboardInterrupt
+        except BaseException:
+            raise ImportError("interrupted in an import") from None
+
+    monkeypatch.setattr(campaign_run, "read_case", faulty)
+    with pytest.raises(KeyboardInterrupt):
+        run()
+    assert not (tmp_path / "out").exists()
+
+
 def test_leftovers_of_a_killed_worker_are_swept(run: Run, tmp_path: Path) -> None:
     leftover, foreign = beside(Path("north")).name, ".north.0a1b2c3d.mine"
     run()
