@@ -291,17 +291,22 @@ def image(
     return head.ljust(2048) + bytes(range(256)) * 8
 
 
-def index(rows: list[tuple[str, str]]) -> tuple[bytes, bytes]:
-    """Table and label of products and instruments; the columns stand elsewhere than in the archive's."""
+def index(rows: list[tuple[str, str]], places: str = "", sense: str = "west") -> tuple[bytes, bytes]:
+    """Table and label of products and instruments, and of their places, as "184.7 -5.1" each, where these are given;
+    the columns stand elsewhere than in the archive's.
+    """
     columns = [("INSTRUMENT_NAME", 2, 6), ("PRODUCT_ID", 11, 12), ("FILE_SPECIFICATION_NAME", 26, 19)]
+    columns += [("CENTER_LONGITUDE", 47, 7), ("CENTER_LATITUDE", 55, 7)] if places else []
     text = "PDS_VERSION_ID = PDS3\r\nOBJECT = INDEX_TABLE\r\n" + "".join(
-        f"OBJECT = COLUMN\r\nNAME = {name}\r\nSTART_BYTE = {start}\r\nBYTES = {size}\r\nEND_OBJECT = COLUMN\r\n"
+        f"OBJECT = COLUMN\r\nNAME = {name}\r\nSTART_BYTE = {start}\r\nBYTES = {size}\r\n"
+        f'DESCRIPTION = "{name.lower()}, {sense}"\r\nEND_OBJECT = COLUMN\r\n'
         for name, start, size in columns
     )
     table = ""
-    for product, instrument in rows:
+    for k, (product, instrument) in enumerate(rows):
         stem = product.replace("/", "")
-        table += f'"{instrument:6}","{product:12}","{f"{stem[:6]}/{stem}.IMQ":19}"\r\n'
+        place = "".join(f",{one:>7}" for one in places.split()[2 * k : 2 * k + 2])
+        table += f'"{instrument:6}","{product:12}","{f"{stem[:6]}/{stem}.IMQ":19}"{place}\r\n'
     return table.encode(), f"{text}END_OBJECT = INDEX_TABLE\r\nEND\r\n".encode()
 
 

@@ -156,6 +156,8 @@ def simulate(site: str, out: Path | None, no_pictures: bool, **options: Any) -> 
     "--terrain", type=click.Choice(["4", "16", "128", "none"]), default="16", show_default=True,
     help="MOLA's grids, pixels per degree: 4 (4 MB), 16 (66 MB), 128 (260 MB for each tile).",
 )  # fmt: skip
+@click.option("--camera", type=click.Choice(["moc", "ctx", "lroc"]), help="All its images in --box, in place of ids.")
+@click.option("--list", "listed", is_flag=True, help="Only print the ids of the images in --box.")
 @click.option(
     "--altimeter", type=click.Choice(["mola", "lola"]), help="No images: an altimeter's shots in --box (ODE)."
 )
@@ -169,22 +171,26 @@ def simulate(site: str, out: Path | None, no_pictures: bool, **options: Any) -> 
     help="All archives below one address (URL/images/, URL/kernels/ ...), or a TOML file with single ones' addresses.",
 )  # fmt: skip
 def fetch(
-    images: tuple[str, ...], out: Path, terrain: str, altimeter: str | None,
+    images: tuple[str, ...], out: Path, terrain: str, camera: str | None, listed: bool, altimeter: str | None,
     box: tuple[float, float, float, float] | None, volumes: tuple[str, ...], mirror: str | None,
 ) -> None:
     """Fetch all that the adjustment of images needs, by their ids, and write a case file: of MOC's narrow angle
     (E02/00665, e0200665), CTX (B10_013341_1010_XN_79S172W), LROC NAC (M103595705LE) or HRSC (h5270_0000_ir2), those of
-    one mission in a folder, with their kernels and the laser shots about them.
+    one mission in a folder, with their kernels and the laser shots about them. Or those of a region, by --camera and
+    --box: of MOC those with their middle in it, of CTX and LROC those whose footprints meet it.
 
     What has come is locked by size and SHA-256: the same command again brings only what is missing or differs, and an
     interrupted download goes on where it was. Exit status: 0, 2 for bad input or an archive that can't give what is
     needed, 130 interrupted.
     """
-    if (altimeter is None) != (box is None) or (altimeter is not None and images):
-        raise click.UsageError("--altimeter and --box go together, without images")
+    if (box is None) != (camera is None and altimeter is None) or (camera and altimeter) or (box and images):
+        raise click.UsageError("--box goes with one of --camera and --altimeter, without ids")
+    if listed and camera is None:
+        raise click.UsageError("--list goes with --camera and --box")
     from mgsgraph.cli.progress import counting_bar, passing_word
-    from mgsgraph.fetch.folder import fetch_images, fetch_shots
+    from mgsgraph.fetch.folder import fetch_images, fetch_shots, find_images
     from mgsgraph.fetch.needs import Archives
+    from mgsgraph.text import many
 
     archives = Archives.chosen(mirror)
     if altimeter is not None and box is not None:
@@ -192,6 +198,12 @@ def fetch(
             table = fetch_shots(altimeter, box, out, archives=archives, progress=show, say=passing_word)
         click.echo(f"The shots are in {table}")
         return
+    if camera is not None and box is not None:
+        with _resumable(), counting_bar("looking through indices", "B") as show:
+            images = find_images(camera, box, out, archives=archives, volumes=volumes, progress=show, say=passing_word)
+        click.echo("\n".join(images) if listed else f"{many(len(images), 'image')} in the box")
+        if listed:
+            return
     with _resumable(), counting_bar("fetching", "B") as show:
         fetched = fetch_images(
             images, out, terrain=terrain, archives=archives, volumes=volumes, progress=show, say=passing_word

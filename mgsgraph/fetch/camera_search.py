@@ -23,6 +23,8 @@ _DATES = re.compile(r"_(\d{6}|\d{7})_(\d{6}|\d{7})(?=[_.])")
 _URL = re.compile(r"https?://[^\s<>\"']{1,300}?/(output/[\w.-]+/[\w.-]+_pts_csv\.csv)")
 _EDGE = 0.02
 """deg around an image's box in which shots are asked for."""
+_PAGE = 100
+"""Products that ODE is asked for at a time."""
 
 
 class Box(NamedTuple):
@@ -32,6 +34,21 @@ class Box(NamedTuple):
     north: float
     west: float
     east: float
+
+    def holds(self, longitude: float, latitude: float) -> bool:
+        """Whether a place lies in it, deg; never for NaN."""
+        return (longitude - self.west) % 360.0 <= self.east - self.west and self.south <= latitude <= self.north
+
+    @property
+    def query(self) -> str:
+        """The box as ODE's queries have it, longitudes in 0 .. 360: over the prime meridian the western one is the
+        larger.
+        """
+        south, north, west, east = self
+        west, east = (0.0, 360.0) if east - west >= 360.0 else (west % 360.0, east % 360.0 or 360.0)
+        limits = max(south, -90.0), min(north, 90.0), west, east
+        sides = zip(("minlat", "maxlat", "westernlon", "easternlon"), limits, strict=True)
+        return "".join(f"&{name}={side:.4f}" for name, side in sides)
 
 
 def stated_interval(store: DownloadFolder, label: WantedFile) -> Interval | None:
@@ -77,8 +94,18 @@ class CameraSearch:
         camera = product.camera
         if not camera.query:
             return ""
-        name = product.name.lower() if camera.moon else product.name
-        return self._store.remote.listing(self._archives.ode + camera.query.format(name))
+        name = f"nac.{product.name.lower()}" if camera.moon else product.name
+        return self._store.remote.listing(f"{self._archives.ode}{camera.query}&pdsid={name}")
+
+    def images_in(self, box: Box, camera: ArchivedCamera) -> list[str]:
+        """Ids of a camera's images whose footprints meet a box, by ODE, in its order."""
+        found, known = dict[str, None](), -1
+        while len(found) > known:
+            known = len(found)
+            page = f"{camera.query}{box.query}&limit={_PAGE}&offset={known}"
+            answer = self._store.remote.listing(self._archives.ode + page).upper()
+            found |= dict.fromkeys(re.findall(rf"\b{camera.pattern.pattern}\b", answer))
+        return list(found)
 
     def _file(self, product: CameraProduct, answer: str) -> str:
         """Path of the image below its archive."""
@@ -182,14 +209,8 @@ class CameraSearch:
 
 
 def shots_in(box: Box, data_set: str, archives: Archives, remote: Remote) -> str:
-    """Path below ODE of the table that it makes of an altimeter's shots in a box; empty for none. Longitudes are asked
-    for in 0 .. 360: over the prime meridian the western one is the larger.
-    """
-    south, north, west, east = box
-    west, east = (0.0, 360.0) if east - west >= 360.0 else (west % 360.0, east % 360.0 or 360.0)
-    limits = max(south, -90.0), min(north, 90.0), west, east
-    sides = zip(("minlat", "maxlat", "westernlon", "easternlon"), limits, strict=True)
-    query = f"livegds/?query={data_set}&results=v&output=JSON" + "".join(f"&{name}={side:.4f}" for name, side in sides)
+    """Path below ODE of the table that it makes of an altimeter's shots in a box; empty for none."""
+    query = f"livegds/?query={data_set}&results=v&output=JSON{box.query}"
     match = _URL.search(remote.listing(archives.ode + query))
     return match[1] if match else ""
 

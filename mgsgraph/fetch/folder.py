@@ -18,6 +18,8 @@ from mgsgraph.fetch.case_file import (
 )
 from mgsgraph.fetch.download import Remote, RetryPolicy
 from mgsgraph.fetch.needs import (
+    CTX,
+    LROC_NAC,
     Archives,
     ImageNeeds,
     Product,
@@ -155,6 +157,54 @@ def fetch_images(
     return Fetched(folder, needs, store.brought, len(lock.files) - len(store.brought), tuple(notes))
 
 
+FOUND_BY_BOX = {"moc": None, "ctx": CTX, "lroc": LROC_NAC}
+"""Cameras whose images are found by region; None for MOC's narrow angle."""
+
+
+def find_images(
+    camera: str,
+    box: tuple[float, float, float, float],
+    out: str | Path,
+    *,
+    archives: Archives | None = None,
+    volumes: Sequence[str] = (),
+    retry: RetryPolicy | None = None,
+    progress: Progress = no_progress,
+    say: Callable[[str], None] = no_progress,
+) -> tuple[str, ...]:
+    """Ids of the images of a region, for `fetch_images`: of MOC's narrow angle those with their middle in the box, by
+    the indices of all volumes, which stay in the folder; of CTX and LROC NAC those whose footprints meet it, by the
+    Orbital Data Explorer.
+
+    Parameters
+    ----------
+    camera : str
+        "moc", "ctx" or "lroc".
+    box : 4 numbers
+        deg: western and eastern longitude (east), least and largest planetocentric latitude.
+    out, archives, volumes, retry, progress, say
+        As of `fetch_images`.
+
+    Raises
+    ------
+    InputError
+        A box that is none, or without images; indices without places; anything that can go wrong on the way.
+    """
+    region, volumes = _region(box), volumes_of(volumes)
+    require(camera in FOUND_BY_BOX, "camera", repr(camera), f"one of {', '.join(FOUND_BY_BOX)}")
+    with _opened(Path(out), retry, say, progress) as store:
+        found = Search(archives or Archives(), store, volumes).images_in(region, FOUND_BY_BOX[camera])
+    require(found, f"{camera} in {box}", "no image", "a box in which there are some", "check it: W E S N, in degrees")
+    return tuple(found)
+
+
+def _region(box: tuple[float, float, float, float]) -> Box:
+    west, east, south, north = box
+    if not (-90.0 <= south < north <= 90.0 and -180.0 <= west < east <= 360.0):
+        raise InputError("box", f"{west:g} {east:g} {south:g} {north:g}", "west < east, south < north, in degrees")
+    return Box(south, north, west, east)
+
+
 DATA_SETS = {"mola": "molapedr", "lola": "lolardr"}
 """What ODE calls the shots of altimeters."""
 
@@ -188,16 +238,13 @@ def fetch_shots(
     InputError
         A box that is none, or without shots; anything that can go wrong on the way.
     """
-    folder, archives = Path(out), archives or Archives()
-    west, east, south, north = box
+    folder, archives, region = Path(out), archives or Archives(), _region(box)
     require(altimeter in DATA_SETS, "altimeter", repr(altimeter), f"one of {', '.join(DATA_SETS)}")
-    if not (-90.0 <= south < north <= 90.0 and -180.0 <= west < east <= 360.0):
-        raise InputError("box", f"{west:g} {east:g} {south:g} {north:g}", "west < east, south < north, in degrees")
-    name = f"shots/{altimeter}_{west:g}_{east:g}_{south:g}_{north:g}_pts_csv.csv".replace("-", "m")
+    name = f"shots/{altimeter}_{'_'.join(f'{side:g}' for side in box)}_pts_csv.csv".replace("-", "m")
     with _opened(folder, retry, say, progress) as store:
         lock = store.lock
         if not lock.whole(name):
-            path = shots_in(Box(south, north, west, east), DATA_SETS[altimeter], archives, store.remote)
+            path = shots_in(region, DATA_SETS[altimeter], archives, store.remote)
             require(path, f"{altimeter} in {box}", "no table of shots by ODE", "a box that its profiles cross")
             if name in lock.files:  # ODE makes another table each time it is asked
                 del lock.files[name]

@@ -134,7 +134,7 @@ class ArchivedCamera:
     file: str
     """Regular expression of a file's path there; `{}` stands for the id."""
     query: str
-    """Of ODE, for one product, after the address; `{}` stands for the id. Empty: volumes are looked through."""
+    """Of ODE, for its products, after the address. Empty: volumes are looked through."""
     kernels: str
     """Field of `Archives` with its kernels."""
     meta_kernel: str
@@ -152,14 +152,14 @@ class ArchivedCamera:
 CTX = ArchivedCamera(
     "CTX", re.compile(r"[A-Z]\d{2}_\d{6}_\d{4}_X[A-Z]_\d{2}[NS]\d{3}W"), "B10_013341_1010_XN_79S172W", "CTX", "ctx",
     r"mrox_\d{{4}}/data/{}\.IMG",
-    "live2/?query=product&results=m&output=JSON&target=mars&ihid=MRO&iid=CTX&pt=EDR&pdsid={}",
+    "live2/?query=product&results=m&output=JSON&target=mars&ihid=MRO&iid=CTX&pt=EDR",
     "mro_kernels", r"mro_{}_v\d\d\.tm", re.compile(r"mro_sc_"), "molapedr",
     "mro/kernels/iak/mroctxAddendum005.ti",
 )  # fmt: skip
 LROC_NAC = ArchivedCamera(
     "LROC NAC", re.compile(r"M\d{9,10}[LR]E"), "M103595705LE", "LROC", "lroc",
     r"LROLRC_\d{{4}}[A-Z]?/DATA/\w+/\d{{7}}/NAC/{}\.IMG",
-    "live2/?query=product&results=m&output=JSON&target=moon&ihid=LRO&iid=LROC&pt=EDRNAC4&pdsid=nac.{}",
+    "live2/?query=product&results=m&output=JSON&target=moon&ihid=LRO&iid=LROC&pt=EDRNAC4",
     "lro_kernels", r"lro_{}_v\d\d\.tm", re.compile(r"(lrosc|lrolc|moc42)"), "lolardr",
     "lro/kernels/iak/lro_instrumentAddendum_v04.ti", True,
 )  # fmt: skip

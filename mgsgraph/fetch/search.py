@@ -8,6 +8,7 @@ Volumes are in the order of time, and so are ids: of the volumes that the archiv
 the folder, for the next image.
 """
 
+import math
 import re
 from bisect import bisect_left
 from collections.abc import Callable, Iterator, Sequence
@@ -18,10 +19,19 @@ from pathlib import Path
 from typing import NamedTuple
 
 from mgsgraph.errors import InputError, require
-from mgsgraph.fetch.camera_search import CameraSearch, stated_interval
+from mgsgraph.fetch.camera_search import Box, CameraSearch, stated_interval
 from mgsgraph.fetch.download import NotInArchive, Remote
 from mgsgraph.fetch.kernel_phases import Interval, find_kernels
-from mgsgraph.fetch.needs import Archives, CameraProduct, ImageNeeds, Product, ProductId, WantedFile, kernel_path
+from mgsgraph.fetch.needs import (
+    ArchivedCamera,
+    Archives,
+    CameraProduct,
+    ImageNeeds,
+    Product,
+    ProductId,
+    WantedFile,
+    kernel_path,
+)
 from mgsgraph.fetch.store import DownloadFolder
 from mgsgraph.files.altimetry.binary import FRAME, HEADER_RECORDS
 from mgsgraph.files.opening import read_bytes
@@ -94,6 +104,7 @@ def _label_text(head: bytes, where: str) -> str:
 
 
 _COLUMNS = ("PRODUCT_ID", "FILE_SPECIFICATION_NAME", "INSTRUMENT_NAME")
+_PLACE = ("CENTER_LONGITUDE", "CENTER_LATITUDE")
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,6 +116,9 @@ class IndexRow:
     """Path below the volume, in small letters: m08060/m0806047.imq."""
     instrument: str
     """MOC-NA or MOC-WA."""
+    longitude: float = math.nan
+    latitude: float = math.nan
+    """Of its middle, deg, east; NaN where the index has none."""
 
     @property
     def narrow(self) -> bool:
@@ -113,7 +127,8 @@ class IndexRow:
 
 
 def read_index(table: Path, label: Path) -> tuple[IndexRow, ...]:
-    """Images of a volume in the table's order; those with ids of no mapping phase are left out.
+    """Images of a volume in the table's order; those with ids of no mapping phase are left out. Longitudes are positive
+    west, as Malin Space Science Systems publishes them, unless the label says east.
 
     Raises
     ------
@@ -121,10 +136,12 @@ def read_index(table: Path, label: Path) -> tuple[IndexRow, ...]:
         A label without one of the columns that are needed, or a row that is too short.
     """
     text = read_bytes(label).decode("latin-1").replace("\r\n", "\n")
-    places = {block.text("NAME").upper(): _bytes(block) for block in _columns(whole_label(Document(str(label), text)))}
+    columns = {block.text("NAME").upper(): block for block in _columns(whole_label(Document(str(label), text)))}
     for name in _COLUMNS:
-        require(name in places, str(label), f"no column {name}", "the label of an image index")
-    return tuple(_rows(table, [places[name] for name in _COLUMNS]))
+        require(name in columns, str(label), f"no column {name}", "the label of an image index")
+    names = _COLUMNS + (_PLACE if columns.keys() >= {*_PLACE} else ())
+    east = 1.0 if _PLACE[0] in columns and "EAST" in str(columns[_PLACE[0]].words("DESCRIPTION")).upper() else -1.0
+    return tuple(_rows(table, [_bytes(columns[name]) for name in names], east))
 
 
 def _columns(block: Block) -> Iterator[Block]:
@@ -139,7 +156,7 @@ def _bytes(column: Block) -> slice:
     return slice(start, start + column.count("BYTES"))
 
 
-def _rows(table: Path, places: list[slice]) -> Iterator[IndexRow]:
+def _rows(table: Path, places: list[slice], east: float) -> Iterator[IndexRow]:
     needed = max(place.stop for place in places)
     for number, line in enumerate(read_bytes(table).decode("latin-1").split("\n"), 1):
         if not line.strip("\0\x1a\r "):
@@ -147,11 +164,20 @@ def _rows(table: Path, places: list[slice]) -> Iterator[IndexRow]:
         if len(line) < needed:
             expected, remedy = f"at least {needed} by its label", "--update, or another mirror"
             raise InputError(f"{table}, row {number}", f"{len(line)} bytes", expected, remedy)
-        product, file, instrument = (line[place].strip(' "') for place in places)
+        product, file, instrument, *place = (line[place].strip(' "') for place in places)
+        degrees = [sense * _degrees(text) for sense, text in zip((east, 1.0), place, strict=False)]
         try:
-            yield IndexRow(ProductId.read(product), file.lower(), instrument)
+            yield IndexRow(ProductId.read(product), file.lower(), instrument, *degrees)
         except InputError:
             continue  # calibration and the like
+
+
+def _degrees(text: str) -> float:
+    """A number of an index; NaN for what is none, as N/A."""
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
 
 
 NAMES = ("imgindx", "imgindex")
@@ -258,9 +284,7 @@ class Search:
         """
         if isinstance(product, CameraProduct):
             return self._other.needs(product)
-        if not self._volumes:
-            self._volumes = volumes_listed(self._store.remote.listing(self._archives.images))
-        volume, row = find_image(product, self._volumes, self._index)
+        volume, row = find_image(product, self._all_volumes(), self._index)
         if not _FILE.fullmatch(row.file):
             raise InputError(f"index of {volume}, {product}", repr(row.file), "a path such as m08060/m0806047.imq")
         file = f"{volume}/{row.file}"
@@ -273,6 +297,19 @@ class Search:
             product, file, label.text("START_TIME"), label.text("STOP_TIME"), orbit, kernels, pedr,
             (*unconfirmed, *([why] if why else [])),
         )
+
+    def images_in(self, box: Box, camera: ArchivedCamera | None) -> list[str]:
+        """Ids of a camera's images in a box, those of MOC's narrow angle (None) by their middles in all volumes."""
+        if camera is not None:
+            return self._other.images_in(box, camera)
+        rows = [row for volume in self._all_volumes() for row in self._index(volume) if row.narrow]
+        if rows and all(math.isnan(row.longitude) for row in rows):
+            raise InputError(f"indices in {self._archives.images}", f"no columns {' and '.join(_PLACE)}", "places")
+        return [str(row.product) for row in rows if box.holds(row.longitude, row.latitude)]
+
+    def _all_volumes(self) -> Sequence[str]:
+        self._volumes = self._volumes or volumes_listed(self._store.remote.listing(self._archives.images))
+        return self._volumes
 
     def _read_index(self, volume: str) -> Sequence[IndexRow]:
         """Of a volume; empty where the archive has none."""

@@ -3,20 +3,23 @@
 import json
 import re
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import flaky_archive
 import pytest
+from click import UsageError
 from flaky_archive import Flaky, image
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mgsgraph.case.case_file import decode
+from mgsgraph.cli import group
 from mgsgraph.errors import InputError
 from mgsgraph.fetch.camera_search import box_of, dates_in
 from mgsgraph.fetch.download import RetryPolicy
-from mgsgraph.fetch.folder import Fetched, fetch_images, fetch_shots, ground_places
+from mgsgraph.fetch.folder import Fetched, fetch_images, fetch_shots, find_images, ground_places
 from mgsgraph.fetch.kernel_phases import Interval, find_kernels, phase_of, utc
 from mgsgraph.fetch.needs import (
     CTX,
@@ -332,11 +335,11 @@ def archive_files() -> dict[str, bytes]:
     lroc = "https://pds.lroc.im-ldi.com/data/LRO-L-LROC-2-EDR-V1.0"
     nac_url = f"{lroc}/LROLRC_0001/DATA/COM/2009211/NAC/M103595705LE.xml"
     found = {
-        f"ode/{CTX.query.format(B10)}": said(
+        f"ode/{CTX.query}&pdsid={B10}": said(
             B10, f"https://planetarydata.jpl.nasa.gov/img/data/mro/ctx/mrox_1232/data/{B10}.IMG",
             Easternmost_longitude=189.0, **box,
         ),
-        f"ode/{LROC_NAC.query.format(NAC.lower())}": said(f"nac.{NAC.lower()}", nac_url),
+        f"ode/{LROC_NAC.query}&pdsid=nac.{NAC.lower()}": said(f"nac.{NAC.lower()}", nac_url),
         f"ctx/mrox_1232/data/{B10}.IMG": image(B10, "2009-06-01T00:38:16.057", "2009-06-01T00:38:35.000", None, "CTX"),
         f"lroc/LROLRC_0001/DATA/COM/2009211/NAC/{NAC}.IMG": image(
             NAC, "2009-07-30T12:20:38.185", "2009-07-30T12:20:55.0", 410, "LROC"
@@ -481,6 +484,61 @@ def test_ids_and_dates_in_names() -> None:
     assert (f"{covered.start:%Y-%m-%d}", f"{covered.stop:%Y-%m-%d}") == ("2009-05-26", "2009-06-02")
     assert dates_in("moon_pa_de421_1900_2050.bpc") is None
     assert dates_in("mro_psp11.bsp") is None
+
+
+def test_images_of_moc_in_a_box(archive: Flaky, tmp_path: Path) -> None:
+    """By their middles, over the prime meridian, too; the second volume's index counts longitudes eastward."""
+    for volume, products, places, sense in (
+        ("mgsc_1001", ["M00/00001", "M00/00002", "M00/00003"], "1.5 10.0 358.5 10.0 N/A 10.0", "west"),
+        ("mgsc_1002", ["M00/00004", "M00/00005", "M00/00006"], "1.5 10.0 358.5 10.0 358.5 20.5", "east"),
+        ("mgsc_1003", ["M00/00007"], "1.5 10.0", "west"),
+    ):
+        instrument = "MOC-WA" if volume.endswith("3") else "MOC-NA"
+        table, described = flaky_archive.index([(one, instrument) for one in products], places, sense)
+        archive.files |= {f"images/{volume}/index/imgindx.tab": table, f"images/{volume}/index/imgindx.lbl": described}
+    find = partial(find_images, "moc", out=tmp_path / "d", archives=Archives.under(archive.address), retry=QUICK)
+    assert find((-2.0, 0.0, 9.0, 11.0)) == find((358.0, 360.0, 9.0, 11.0)) == ("M00/00001", "M00/00005")
+    assert find((-2.0, 2.0, 9.0, 11.0)) == ("M00/00001", "M00/00002", "M00/00004", "M00/00005")
+    with pytest.raises(InputError, match="no image"):
+        find((100.0, 101.0, 9.0, 11.0))
+    with pytest.raises(InputError, match="box"):
+        find((2.0, -2.0, 9.0, 11.0))
+    table, described = flaky_archive.index([("M00/00001", "MOC-NA")])
+    archive.reset({"images/mgsc_1001/index/imgindx.tab": table, "images/mgsc_1001/index/imgindx.lbl": described})
+    with pytest.raises(InputError, match="no columns CENTER_LONGITUDE"):
+        find((-2.0, 0.0, 9.0, 11.0), out=tmp_path / "e")
+
+
+@pytest.mark.parametrize(("camera", "query", "name"), [
+    ("ctx", CTX.query, "B10_{:06d}_1010_XN_79S172W"), ("lroc", LROC_NAC.query, "M{:09d}LE"),
+])  # fmt: skip
+def test_images_of_other_cameras_in_a_box(
+    camera: str, query: str, name: str, archive: Flaky, tmp_path: Path
+) -> None:
+    """By ODE, page by page."""
+    names = [name.format(k) for k in range(230)]
+    sides = "&minlat=-80.0000&maxlat=-79.0000&westernlon=187.0000&easternlon=188.0000"
+    for begin in range(0, 231, 100):
+        page = [f'"pdsid": "{"nac." * (camera == "lroc")}{one.lower()}"' for one in names[begin : begin + 100]]
+        archive.files[f"ode/{query}{sides}&limit=100&offset={begin}"] = ", ".join(page).encode()
+    archives, box = Archives.under(archive.address), (-173.0, -172.0, -80.0, -79.0)
+    assert find_images(camera, box, tmp_path / "d", archives=archives, retry=QUICK) == tuple(names)
+
+
+def test_the_command_takes_images_by_region(
+    archive: Flaky, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sides = "&minlat=-80.0000&maxlat=-78.0000&westernlon=187.0000&easternlon=189.0000"
+    archive.files[f"ode/{CTX.query}{sides}&limit=100&offset=0"] = B10.encode()
+    words = ["fetch", "--camera", "ctx", "--box", "187", "189", "-80", "-78", "--mirror", archive.address,
+             "--terrain", "none", "--out", str(tmp_path / "d")]  # fmt: skip
+    assert not group([*words, "--list"], standalone_mode=False)
+    assert capsys.readouterr().out == f"{B10}\n"
+    assert not group(words, standalone_mode=False)
+    assert (tmp_path / "d" / "case.toml").exists()
+    for wrong in (words[:3], [*words, B10], [*words, "--altimeter", "mola"], ["fetch", B10, "--list"]):
+        with pytest.raises(UsageError):
+            group(wrong, standalone_mode=False)
 
 
 def test_shots_in_a_box(archive: Flaky, tmp_path: Path) -> None:
