@@ -71,7 +71,7 @@ def intersect_rays(origins: Array, directions: Array, point_of_ray: Index, point
     shifted = tuple((origins - reference[point_of_ray]).T)
     terms = add_ray((0.0,) * 6, (0.0,) * 3, shifted, unit)
     normal, right = (tuple(np.bincount(point_of_ray, part, points) for part in parts) for parts in terms)
-    weakest = least_eigenvalue(normal) / np.maximum(count, 1)
+    weakest = least_eigenvalue(normal, 6) / np.maximum(count, 1)
     good = (count >= 2) & (weakest > 1e-14)
     with np.errstate(divide="ignore", invalid="ignore"):
         solution = np.stack(solve_symmetric(normal, right), axis=1) + reference

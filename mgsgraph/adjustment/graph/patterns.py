@@ -254,13 +254,14 @@ def sort_points(
     signature = np.zeros(n, dtype=np.uint64)
     mix_rows(signature, of_rays[0], of_rays[1], rays.image, terms.of_rays, 1)
     mix_rows(signature, of_ranges[0], of_ranges[1], ranges.image, terms.of_ranges, 2)
-    on_surface = np.zeros(n, dtype=np.int64)
+    on_surface = np.broadcast_to(0, n)
     if network.surface is not None:
         on_surface = np.isfinite(network.surface.sigmas).astype(np.int64)
     on_stereo, sides = _on_stereo(n, stereo)
     common = network.common_variables
     for values in (network.points.kinds, moved, on_surface, on_stereo, *(variable for variable, *_ in footprints)):
-        mix_values(signature, read_only(values))
+        if values.strides[0]:  # another number for each point
+            mix_values(signature, read_only(values))
     if network.common:
         mix_rows(signature, of_rays[0], of_rays[1], read_only(common[0]), terms.of_rays, 3)
         mix_values(signature, read_only(common[1]))
@@ -301,9 +302,9 @@ def _runs(first: Index, order: Index) -> tuple[Index, Index]:
 
 def _on_stereo(n: int, stereo: StereoRows | None) -> tuple[Index, Index]:
     """(n,) which of the combinations of images and nodes (c, 4) the stereo row of each point has; -1 for none."""
-    combination = np.full(n, -1, dtype=np.int64)
     if stereo is None:
-        return combination, np.zeros((0, 4), dtype=np.int64)
+        return np.broadcast_to(-1, n), np.zeros((0, 4), dtype=np.int64)
+    combination = np.full(n, -1, dtype=np.int64)
     sides, combination[stereo.points] = combinations(stereo.sides)
     return combination, sides
 
@@ -311,7 +312,7 @@ def _on_stereo(n: int, stereo: StereoRows | None) -> tuple[Index, Index]:
 def _moved(network: Network) -> Index:
     """(n,) variable of the shift that moves each point's a-priori position; -1 for none."""
     if network.shifts is None:
-        return np.full(len(network.points), -1, dtype=np.int64)
+        return np.broadcast_to(-1, len(network.points))
     profile = network.shifts.profile
     return np.where(profile >= 0, len(network.images) + profile, -1)
 

@@ -35,14 +35,16 @@ _Rays = NDArray[np.int32]
 
 
 class Crossing(NamedTuple):
-    """Where nominal rays cross; n points in network order."""
+    """Where nominal rays cross; n points."""
 
     wanted: Mask
-    """(n,) points whose place is asked for."""
+    """(n,) points whose place is asked for, network order."""
+    known: Array
+    """(n, 3) m, of the others, and where rays don't cross; network order."""
     places: Array
-    """(n, 3) m."""
+    """(n, 3) m, in the order of the layout."""
     apart: Array
-    """(n,) rad between the outermost rays."""
+    """(n,) rad between the outermost rays, network order."""
 
 
 class RayConstants:
@@ -55,7 +57,7 @@ class RayConstants:
     variables : Variables
     patterns : Patterns
     slot : (k,)
-        Index of each ray among its point's observations.
+        Index of each ray among its point's observations; overwritten by its place among all observations (`among`).
     piece, before
         As of `rows.lay_out_rows`.
     """
@@ -72,11 +74,11 @@ class RayConstants:
         for number, (members, _) in enumerate(looks, 1):
             self._of_look[:, members] = np.full(members.size, number), np.arange(members.size)
         piece_of = np.repeat(np.arange(piece.shape[0], dtype=np.int32), piece[:, 2])
-        self.among = np.empty(slot.size, dtype=np.int32)
+        self.among = slot
         """(k,) place of each ray among all observations; int32, for there are many."""
         self._table = network.rays.point, patterns.point_index, piece_of, piece, before, self.among
         """What `constants_of` takes."""
-        places_of_rays(slot, self._table)
+        places_of_rays(self._table)
         last = int(self.among.max(initial=-1))
         self._by_image, ends = by_image(network.rays.image, self.among, last, len(network.images))
         self._ends: list[int] = ends.tolist()
@@ -102,7 +104,7 @@ class RayConstants:
         kinds = np.concatenate([[0], np.cumsum(self._patterns.kind == IMAGE)])
         rays = np.diff(kinds[self._patterns.first])
         patterns = piece, before, self._patterns.first, rays, focal
-        many = np.concatenate([[0], np.cumsum(piece[:, 2] * rays[piece[:, 0]])])
+        many = np.concatenate([[0], np.cumsum(piece[:, 2] * (1 + rays[piece[:, 0]]))])  # rays, and points without any
         angles, order = self._model.angles, self._patterns.point_order
         in_threads(
             lambda ends: crossings(*ends, angles, patterns, order, data, *crossing), neighboring_pieces(many, _SHARE)
@@ -136,23 +138,25 @@ class RayConstants:
         self._each(fill)
 
     def fill_scales(self, data: Array, starts: Array) -> None:
-        """The scale of the measured-line form, from the image motion of points at their starting positions (n, 3)."""
-        rays, first = self._network.rays, 9 if self._model.angles == CAMERA else 8  # behind the detector pixel
+        """The scale of the measured-line form, from the image motion of points at their starting positions (n, 3), in
+        the order of the layout.
+        """
+        first = 9 if self._model.angles == CAMERA else 8  # behind the detector pixel
+        rays, index = self._network.rays, self._patterns.point_index
 
         def rescale(j: int, k: _Rays) -> None:
             image, lines = self._network.images[j], rays.places[k, 0]
-            pose, detector = image.pose(lines).in_axes(self._axes[j]), self._pixels(j, k)
-            scale = frozen_scale(pose, image.interior.focal_length, starts[rays.point[k]], detector.slope)
+            pose, detector = image.pose(lines).in_axes(self._axes[j]), self._pixels(j, rays.places[k, 1])
+            scale = frozen_scale(pose, image.interior.focal_length, starts[index[rays.point[k]]], detector.slope)
             begin, step = constants_of(k, self._table)
             store(begin, step, first, scale.reshape(-1, 4), data)
 
         self._each(rescale)
 
-    def _pixels(self, j: int, k: _Rays) -> Detector:
-        """Detector pixels of rays of an image, in the axes of its pass."""
+    def _pixels(self, j: int, samples: Array) -> Detector:
+        """Detector pixels of an image at samples (k,), in the axes of its pass."""
         interior = self._network.images[j].interior
-        plane = interior.focal_plane(self._network.rays.places[k, 1])
-        return Detector(*plane).in_axes(self._axes[j], interior.focal_length)
+        return Detector(*interior.focal_plane(samples)).in_axes(self._axes[j], interior.focal_length)
 
     @cached_property
     def _axes(self) -> list[Array | None]:
@@ -170,22 +174,22 @@ class RayConstants:
         """Constants of the rays `k` of an image, whose looks by errors in common are `common`, by as many factors each,
         in the order in which `kernel.tile.load_observation` takes them.
         """
-        rays, angles, image = self._network.rays, self._model.angles, self._network.images[j]
-        lines, predicted, pixels = terms.lines[k], self._model.line == PREDICTED, self._pixels(j, k)
+        angles, image, (measured, samples) = self._model.angles, self._network.images[j], self._network.rays.places[k].T
+        lines, predicted, pixels = terms.lines[k], self._model.line == PREDICTED, self._pixels(j, samples)
         moments = image.moments(lines)
         pose = image.trajectory.pose(moments.times).scaled(moments.periods).in_axes(self._axes[j])
         form = [pose.position, attitudes(pose, angles), pixels.place]
         if predicted:
             rates = pose.angular_rate if angles == CAMERA else angle_rates(pose, angles)
             rates = rates + self.effects.turning(j, moments.u, values)
-            form += [pose.velocity, rates, (lines - rays.places[k, 0])[:, None]]
+            form += [pose.velocity, rates, (lines - measured)[:, None]]
         if not takes_slope(self._model):
             form.append(np.zeros((k.size, 4)))  # `fill_scales` fills these
         elif np.isnan(self._patterns.slopes[j, 0]):
             bent = self.effects.bends(j)
-            form.append(self.effects.slopes(j, rays.places[k, 1], values) if bent else pixels.slope)
+            form.append(self.effects.slopes(j, samples, values) if bent else pixels.slope)
         basis = terms.basis(j, moments, terms.of_rays[k], predicted)
-        effects = self.effects.of_rays(j, moments.u, rays.places[k, 1], common).reshape(k.size, -1)
+        effects = self.effects.of_rays(j, moments.u, samples, common).reshape(k.size, -1)
         (begin, step), first = constants_of(k, self._table), 0
         for part in (*form, *basis, effects):
             store(begin, step, first, part, data)
@@ -236,13 +240,13 @@ def followed(lines, measured, residuals, among, kind, point, point_index, image,
 
 
 @cached_kernel
-def places_of_rays(slot, table):
-    """Place of each ray among all observations, the last of `table`, from its index (k,) among its point's."""
+def places_of_rays(table):
+    """Place of each ray among all observations, the last of `table`, in place of its index among its point's."""
     point, point_index, piece_of, piece, _, among = table
     for k in range(point.size):
         index = point_index[point[k]]
         p = piece_of[index]
-        among[k] = piece[p, 4] + slot[k] * piece[p, 2] + index - piece[p, 1]
+        among[k] = piece[p, 4] + among[k] * piece[p, 2] + index - piece[p, 1]
 
 
 @cached_kernel
@@ -331,7 +335,7 @@ def look_of(data, at, stride, angles, focal):
 
 
 @cached_kernel
-def crossings(first, last, angles, patterns, point_order, data, wanted, positions, apart):
+def crossings(first, last, angles, patterns, point_order, data, wanted, known, positions, apart):
     """Intersections of the nominal rays of points, and the angles between the rays.
 
     Parameters
@@ -347,10 +351,11 @@ def crossings(first, last, angles, patterns, point_order, data, wanted, position
         Network point at each index of the layout.
     data
         With origins, attitudes and detector pixels of the rays.
-    wanted : (n,)
-        Points whose position is asked for.
+    wanted, known : (n,), (n, 3)
+        As of `Crossing`.
     positions : (n, 3)
-        m: filled for these, unless the rays are closer to parallel than 2e-7 rad or meet behind a camera.
+        m, in the order of the layout; the known ones where rays are closer to parallel than 2e-7 rad or meet behind a
+        camera.
     apart : (n,)
         rad between the outermost rays, about: filled for all; zero for fewer than two.
     """
@@ -360,7 +365,7 @@ def crossings(first, last, angles, patterns, point_order, data, wanted, position
         pattern, size = piece[p, 0], piece[p, 2]
         count = rays[pattern]
         for inside in range(size):
-            i, start, origin = point_order[piece[p, 1] + inside], piece[p, 3] + inside, (0.0, 0.0, 0.0)
+            i, start, origin = piece[p, 1] + inside, piece[p, 3] + inside, (0.0, 0.0, 0.0)
             normal, right = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
             for s in range(count):
                 at = start + size * before[pattern, s]
@@ -369,13 +374,14 @@ def crossings(first, last, angles, patterns, point_order, data, wanted, position
                 look = look_of(data, at, size, angles, focal[observation[pattern] + s])
                 set_vector(units, s, look)
                 normal, right = add_ray(normal, right, subtract(centre, origin), look)
-            weakest = least_eigenvalue(normal) / count if count >= 2 else 0.0
-            apart[i] = 2.0 * np.arcsin(np.sqrt(min(max(weakest, 0.0), 1.0)))
-            if wanted[i]:
+            weakest = least_eigenvalue(normal, 2) / count if count >= 2 else 0.0
+            k, point = point_order[i], (0.0, 0.0, 0.0)
+            apart[k] = 2.0 * np.arcsin(np.sqrt(min(max(weakest, 0.0), 1.0)))
+            usable = wanted[k] and weakest > 1e-14
+            if usable:
                 point = solve_symmetric(normal, right)
-                usable = weakest > 1e-14
-                for s in range(count if usable else 0):  # rays that part meet behind their cameras
-                    ahead = subtract(add(point, origin), origin_of(data, start + size * before[pattern, s], size))
-                    usable &= dot(ahead, vector(units, s)) > 0.0
-                for a in range(3):
-                    positions[i, a] = point[a] + origin[a] if usable else positions[i, a]
+            for s in range(count if usable else 0):  # rays that part meet behind their cameras
+                ahead = subtract(add(point, origin), origin_of(data, start + size * before[pattern, s], size))
+                usable &= dot(ahead, vector(units, s)) > 0.0
+            for a in range(3):
+                positions[i, a] = point[a] + origin[a] if usable else known[k, a]

@@ -111,6 +111,8 @@ def _in_file(needed: int) -> Array:
         raise InputError(where, problem, expected, "set TMPDIR to another folder") from error
 
 
+_ASKED = 10_000
+"""Points, evenly spaced among all, that must lie near the ground."""
 _Component = TypeVar("_Component", int, Index)
 
 
@@ -175,28 +177,28 @@ def lay_out_rows(
 ) -> tuple[ObservationRows, Rows, RayConstants]:
     """Rows of a network in the kernel's order, their places, and the constants of image rays, which can be renewed.
 
-    `slot` (k,) is each ray's index among its point's observations, `places` (n, 3) start positions; `like` start
-    positions (n, 3) and kinds (n,) to keep as they are, network order. `bending` (columns,) are the shared unknowns
-    with which the slopes of detector lines are those of adjusted interior orientations. `storage` holds the constants.
+    `slot` (k,) is each ray's index among its point's observations (overwritten), `places` (n, 3) start positions;
+    `like` start positions (n, 3) and kinds (n,) to keep as they are, network order. `bending` (columns,) are the shared
+    unknowns with which the slopes of detector lines are those of adjusted interior orientations. `storage` holds the
+    constants.
     """
     tables = _observation_tables(network, model, variables, patterns)
     store = _make_store(patterns, tables["observation_numbers"], storage)
     weight = np.zeros((2, int(store.piece[:, 2] @ np.diff(patterns.first)[store.piece[:, 0]])))
-    crossing = None if like else _begin_crossing(network, places)
+    crossing, order = None if like else _begin_crossing(network, places), patterns.point_order
     rays = RayConstants(network, model, variables, patterns, slot, store.piece, store.before)
     rays.fill(store.data, weight, terms, bending, crossing, tables["observation_focal"])
     ranges = _fill_ranges(network, store, terms, rays.effects, weight)
     _fill_ground(network, store, weight)
-    starts, kinds = like or _starting_points(network, crossing)
+    starts, kinds = (like[0][order], like[1][order]) if like else _starting_points(network, patterns, crossing)
     if model.line == MEASURED and model.angles != OPK_PEER:
         rays.fill_scales(store.data, starts)
     on_terrain = _fill_surface(network, store, starts, weight)
     observation_rows = ObservationRows(rays.among, ranges, *on_terrain, _fill_stereo(network, store, stereo, weight))
-    order = patterns.point_order
     spline = None if network.surface is None else network.surface.grid.spline()
     laid = Rows(
-        kind=kinds[order],
-        start=starts[order],
+        kind=kinds,
+        start=starts,
         data=store.data,
         weight=weight,
         piece=store.piece,
@@ -331,6 +333,7 @@ def _fill_surface(network: Network, store: _Store, starts: Array, weight: Array)
     slots = _observations_before(network) + (network.points.kinds == PointKind.CONSTRAINED)
     place, stride, among = store.place(on_surface, slots[on_surface])
     weight[0, among] = 1.0 / network.surface.sigmas[on_surface]
+    starts = starts[store.patterns.point_index]
     moved = store.put(place, stride, 0, network.surface.directions(starts[on_surface]))
     for members, motion in common_lifts(network, starts):
         at = np.searchsorted(on_surface, members)
@@ -358,39 +361,44 @@ def _fill_stereo(network: Network, store: _Store, stereo: StereoRows | None, wei
 
 def _begin_crossing(network: Network, places: Array | None) -> Crossing:
     """Points that start at the intersection of their nominal rays: free ones without a position in `places` (n, 3)."""
-    starts = network.points.places.copy()
-    given = np.zeros(starts.shape[0], dtype=bool)
+    free, known = (network.points.kinds == PointKind.FREE) & ~network.undetermined, network.points.places
     if places is not None:
         given = np.all(np.isfinite(places), axis=1)
-        starts[given] = places[given]
-    free = (network.points.kinds == PointKind.FREE) & ~network.undetermined & ~given
-    return Crossing(free, starts, np.zeros(free.size))
+        free, known = free & ~given, np.where(given[:, None], places, known)
+    return Crossing(free, known, np.empty(known.shape), np.empty(free.size))
 
 
-def _starting_points(network: Network, crossing: Crossing | None) -> tuple[Array, NDArray[np.int8]]:
+def _starting_points(
+    network: Network, patterns: Patterns, crossing: Crossing | None
+) -> tuple[Array, NDArray[np.int8]]:
     """(n, 3) m, start of each point's inner solve: its known position, its a-priori place, or the intersection of its
     nominal rays; and (n,) the kind of each point.
     """
     assert crossing is not None
-    free, starts, angles = crossing
+    free, _, starts, angles = crossing
+    order = patterns.point_order
     where, remedy = "images and their ties", resection_remedy(network.images)
-    require_on_ground(starts[free], angles[free], network.images[0].body, where, remedy)
-    unknown = ~np.all(np.isfinite(starts), axis=1)
-    _start_on_the_ground(network, np.flatnonzero(free & unknown), starts)
-    starts[unknown & ~free] = 0.0
+    some = np.arange(0, order.size, 1 + order.size // _ASKED)
+    some = some[free[order[some]]]
+    require_on_ground(starts[some], angles[order[some]], network.images[0].body, where, remedy)
+    unknown = np.flatnonzero(~np.isfinite(starts @ np.ones(3)))
+    _start_on_the_ground(network, unknown[free[order[unknown]]], patterns, starts)
+    starts[unknown[~free[order[unknown]]]] = 0.0
     kinds = np.array([FREE, PRIOR, FIXED], dtype=np.int8)[network.points.kinds]
     kinds[network.undetermined | parallel(network, angles)] = OUT
-    return starts, kinds
+    return starts, kinds[order]
 
 
-def _start_on_the_ground(network: Network, missing: Index, starts: Array) -> None:
-    """Start points without another position (parallel rays) where their first ray meets the ellipsoid."""
-    chosen = np.flatnonzero(np.isin(network.rays.point, missing)) if missing.size else missing
+def _start_on_the_ground(network: Network, missing: Index, patterns: Patterns, starts: Array) -> None:
+    """Start points (m,) of the layout without another position (parallel rays) where their first ray meets the
+    ellipsoid.
+    """
+    chosen = np.flatnonzero(np.isin(network.rays.point, patterns.point_order[missing])) if missing.size else missing
     with_rays, first = np.unique(network.rays.point[chosen], return_index=True)
     for i, k in zip(with_rays.tolist(), chosen[first].tolist(), strict=True):
-        image = network.images[network.rays.image[k]]
-        starts[i] = image.image_to_ground(*network.rays.places[[k]].T)[0][0]
-        if not np.all(np.isfinite(starts[i])):
+        image, start = network.images[network.rays.image[k]], patterns.point_index[i]
+        starts[start] = image.image_to_ground(*network.rays.places[[k]].T)[0][0]
+        if not np.all(np.isfinite(starts[start])):
             raise InputError(
                 f"point {network.points.ids[i]}", f"its ray in image {image.name} misses the body",
                 "image places on the body", "check the image's orientation or leave the point out",
