@@ -61,7 +61,7 @@ def about_predicted_lines(
     now = layout
     if layout.model.line == PREDICTED:
         now = _about_followed_lines(layout, orientation, points, near, in_place, sweeper)
-    return now.about_stereo(layout.network_order(points), orientation)
+    return now if now.stereo is None else now.about_stereo(layout.network_order(points), orientation)
 
 
 def _about_followed_lines(
@@ -136,7 +136,8 @@ class Selection:
     def rows(self, layout: Layout) -> Rows:
         """The layout's rows that take part; free points that rejection has left with fewer than two rays go too."""
         network = layout.network
-        remaining = np.bincount(network.rays.point, self.rays, len(network.points))
+        every = network.ray_counts  # counting takes a tenth of a large solve
+        remaining = every if np.all(self.rays) else np.bincount(network.rays.point, self.rays, every.size)
         out = self.out | ((network.points.kinds == PointKind.FREE) & (remaining < 2))
         return layout.active(self.rays, self.ranges, out, self.stereo)
 
