@@ -307,8 +307,11 @@ def compile_beside(kernel: Any, statement: str) -> None:
     if threads() < 2 or not hasattr(kernel, "signatures") or kernel._cache._cache_file._load_index():
         return
     quiet = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    here = str(Path(__file__).parents[1])  # not the working folder, where there may be another copy of this program
+    paths = os.pathsep.join([here, *filter(None, [os.environ.get("PYTHONPATH")])])
+    command, more = [sys.executable, "-P", "-c", statement], {"env": os.environ | {"PYTHONPATH": paths}}
     try:
-        process = subprocess.Popen([sys.executable, "-c", statement], **quiet)  # type: ignore[call-overload]
+        process = subprocess.Popen(command, **quiet, **more)  # type: ignore[call-overload]
     except OSError:  # no file or process more is allowed: then this one compiles it
         return
 

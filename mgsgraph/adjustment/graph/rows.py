@@ -23,7 +23,7 @@ from mgsgraph.adjustment.graph.variables import Variables
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.plausibility import require_on_ground, resection_remedy
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, read_only
 from mgsgraph.kernel.rows import (
     FIXED,
     FREE,
@@ -365,7 +365,7 @@ def _begin_crossing(network: Network, places: Array | None) -> Crossing:
     if places is not None:
         given = np.all(np.isfinite(places), axis=1)
         free, known = free & ~given, np.where(given[:, None], places, known)
-    return Crossing(free, known, np.empty(known.shape), np.empty(free.size))
+    return Crossing(free, read_only(known), np.empty(known.shape), np.empty(free.size))
 
 
 def _starting_points(
