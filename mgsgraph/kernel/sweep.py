@@ -313,29 +313,33 @@ def sweep_all(
     values = np.empty((0, 0, 0)) if values is None else values
     none = np.empty(0) if joint is None else writable(joint)
     x, points = writable(x), writable(points)
-    rows = as_compiled(rows)
+    rows, spare = as_compiled(rows), list[tuple[Array, Array]]()
 
     def zeros() -> tuple[Array, Array]:
-        return np.zeros(target.size) if with_matrix else none, np.zeros(target.columns) if with_gradient else none
+        """Room for sums, of a part that has been added: memory that is touched for the first time costs more."""
+        sizes = target.size if with_matrix else 0, target.columns if with_gradient else 0
+        room = spare.pop() if spare else (np.empty(sizes[0]), np.empty(sizes[1]))
+        for numbers in room:
+            numbers.fill(0.0)
+        return room
 
     blocks, gradient = zeros()
     left, waiting, added, lock = iter(range(count)), dict[int, tuple[Array, Array]](), 0, Lock()
 
     def share() -> None:
         nonlocal added
+        scratch = scratch_for(rows)
         for k in left:
             sums = zeros()
-            results = (scratch_for(rows), points, states, costs, *sums, values)
+            results = (scratch, points, states, costs, sums[0] if with_matrix else none, sums[1], values)
             sweep(rows, groups, target, model, x, task, tolerance, edges[k], edges[k + 1], *results)
             with lock:
                 waiting[k] = sums
                 while added in waiting:
-                    more, slope = waiting.pop(added)
+                    for total, more in zip((blocks, gradient), waiting[added], strict=True):
+                        np.add(total, more, out=total)
+                    spare.append(waiting.pop(added))
                     added += 1
-                    if with_matrix:
-                        np.add(blocks, more, out=blocks)
-                    if with_gradient:
-                        np.add(gradient, slope, out=gradient)
 
     others = min(threads(), count) - 1
     running = [_threads(others).submit(share) for _ in range(others)]
