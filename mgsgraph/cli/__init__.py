@@ -16,6 +16,7 @@ from mgsgraph.cli.options import guard_streams
 from mgsgraph.cli.verbs import GROUPS, REMOVED, RENAMED, VERBS
 from mgsgraph.errors import MgsgraphError, is_interrupt, one_line
 
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy: its waiting threads take a fifth of a short command
 _SIGNALS = signal.SIGINT, signal.SIGTERM, signal.SIGALRM
 """Signals that end the program; files are then unchanged or complete."""
 _RETRY_IN_IMPORT = 0.01
