@@ -150,9 +150,9 @@ def _group(terms: Sequence[_Term]) -> str:
 def _owners(owners: Sequence[str]) -> str:
     images = [owner.removeprefix("image ") for owner in owners if owner.startswith("image ")]
     rest = [owner for owner in owners if not owner.startswith("image ")]
-    rest = [some(rest, len(rest), _MOST - 1)] if len(rest) > _MOST else rest
+    rest = [some(rest, most=_MOST - 1)] if len(rest) > _MOST else rest
     if len(images) > _MOST:
-        images = [some(images, len(images), _MOST - 1)]
+        images = [some(images, most=_MOST - 1)]
         return listed([f"images {images[0]}", *rest])
     return listed([f"image{'s' * (len(images) > 1)} {listed(images)}", *rest]) if images else listed(rest)
 

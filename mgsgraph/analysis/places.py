@@ -78,7 +78,7 @@ class SigmaGrid(Record):
         middle = [float(np.median(band[inside])) for band in self.values[:3]]
         worst = float(self.values[2][inside].max())
         return (
-            f"points measured to {self.sigma:g} px in {some(self.images, len(self.images))} would have sigmas of "
+            f"points measured to {self.sigma:g} px in {some(self.images)} would have sigmas of "
             f"{middle[0]:.3g} m east, {middle[1]:.3g} m north and {middle[2]:.3g} m up (medians over "
             f"{int(inside.sum())} cells); up is worst at {worst:.3g} m"
         )
@@ -134,7 +134,7 @@ def sigma_grid(
     values[:3, several] = np.sqrt(variances).T
     values[3, several] = np.sqrt(variances.sum(axis=1))
     if not np.any(np.isfinite(values)):
-        found = f"rays of {some(names, len(names))} that are all but parallel"
+        found = f"rays of {some(names)} that are all but parallel"
         raise InputError("sigma raster", found, "images that look from different sides")
     counts = visible.sum(axis=1).reshape(rows, columns)
     return SigmaGrid(names, sigma, west, north, steps, values.reshape(4, rows, columns), counts)

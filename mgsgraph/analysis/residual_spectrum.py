@@ -415,7 +415,7 @@ class ResidualVibrations(Record):
             lines = [f"No image's residuals show a vibration ({100.0 * FALSE_ALARMS:g} % false alarms per angle)."]
         blind = [f"{entry.turn} of {entry.image}" for entry in self.spectra if entry.blind and entry.turn != "yaw"]
         if blind:
-            lines.append(f"Vibrations not tested: {some(blind, len(blind))} (heights of points absorb them).")
+            lines.append(f"Vibrations not tested: {some(blind)} (heights of points absorb them).")
         return lines
 
 

@@ -429,7 +429,7 @@ def in_images(
     if held.all():
         return points, ""
     foreign = points.measure_image[~held].used
-    called = some(foreign, len(foreign))
+    called = some(foreign)
     before, after = (
         np.bincount(points.measure_point[selection], minlength=len(points.ids)) for selection in (slice(None), held)
     )
@@ -437,7 +437,7 @@ def in_images(
     dropped = (after < before) & (after < np.where(needs_rays, 2, 1))
     if dropped.all():
         found = f"points that are measured in {called}, and none that enough others see"
-        expected = f"points measured in the images of {holder} ({some(images, len(images))})"
+        expected = f"points measured in the images of {holder} ({some(images)})"
         raise InputError(points.source, found, expected, "call images as the network does")
     left = points.with_measures(held).chosen(np.flatnonzero(~dropped))
     sentence = f"Left out of {points.source}: {many(int((~held).sum()), 'measure')} in "

@@ -153,7 +153,7 @@ def write_cubes(
         originals += new
         largest = max(largest, _compared(place / path.name, picture, correction))
     if not paths:
-        found = f"no ISIS cube with tables of spiceinit of {some(names, len(names))}"
+        found = f"no ISIS cube with tables of spiceinit of {some(names)}"
         raise InputError("export to cubes", found, "one of any image", "name the case that has them (--case)")
     return paths, tuple(_notes(len(names), without, largest, biased, mapped)), originals
 
@@ -168,7 +168,7 @@ def _notes(count: int, without: list[str], largest: float, biased: list[str], ma
     read = many(count - len(without), "camera")
     yield f"Read back, 25 pixels of {read} fall within {largest:.1g} px of where the solution has them."
     if without:
-        left = f"{len(without)} of {many(count, 'image')}, {some(without, len(without))}"
+        left = f"{len(without)} of {many(count, 'image')}, {some(without)}"
         yield f"Left out, as the case names no ISIS cube with tables of spiceinit of them: {left}."
     if biased:
         yield f"{listed(biased)}: attitude times hold MOC's -1.15 s once, as before; ISIS adds none to tables."

@@ -146,7 +146,7 @@ def read_networks(
             notes.append(f"Left out, having two places in one image, as the Ames Stereo Pipeline does: {dropped}")
         if setting.prefix is None and not setting.old_names():
             names = dict.fromkeys(name for match in matches for name in match.images)
-            notes.append(f"Images, by the names of the match files: {some(list(names), len(names))}")
+            notes.append(f"Images, by the names of the match files: {some(list(names))}")
     networks += [_read(path, form, setting) for path, form in forms if form not in _MATCHES]
     require_one_body(networks, setting)
     notes += _other_heads(networks)
@@ -231,7 +231,7 @@ def _renamed(network: ControlNetwork, names: Mapping[str, str]) -> ControlNetwor
     present = images_of(network)
     for old in names:
         if old not in present:
-            raise InputError(network.source, f"no image {old!r} to rename", some(sorted(present), len(present)))
+            raise InputError(network.source, f"no image {old!r} to rename", some(sorted(present)))
     after = [names.get(name, name) for name in present]
     if len(set(after)) < len(after):
         twice = next(name for name in after if after.count(name) > 1)

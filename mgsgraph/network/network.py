@@ -153,7 +153,7 @@ class Network(Record):
         unknowns = (*self.shift_names, *(unknown.name for unknown in self.shared))
         for name in self.considered:
             if name not in unknowns:
-                expected = some(unknowns, len(unknowns)) if unknowns else "none: there are no such unknowns"
+                expected = some(unknowns) or "none: there are no such unknowns"
                 raise InputError("considered unknowns", f"{name!r}", f"a shift or a shared unknown ({expected})")
             terms = self.surface.terms if self.surface is not None and name == TERRAIN else ()
             if terms and not self.surface_shifts:

@@ -14,7 +14,7 @@ import numpy as np
 from mgsgraph.case.case_file import read_image
 from mgsgraph.case.motion import Positive, Sigma
 from mgsgraph.case.schema import ImageInput, OrientationInput, SpiceInput
-from mgsgraph.errors import InputError, errors_from
+from mgsgraph.errors import InputError, errors_from, require
 from mgsgraph.files.altimetry.lidar import read_lidar
 from mgsgraph.files.altimetry.shots import read_shots
 from mgsgraph.files.decoding import read_toml, validated
@@ -179,9 +179,8 @@ def _profile(coverage: ImageCoverage, entry: CandidateProfile, path: Path, k: in
         found = "neither file nor every_s" if entry.file is None else "both file and every_s"
         raise InputError(where, found, "a file, or image and every_s")
     if entry.image is not None:
-        if entry.image not in coverage.views:
-            names = some(list(coverage.views), len(coverage.views))
-            raise InputError(where, f"the image {entry.image!r}", f"an image of the network ({names})")
+        names, found = some(list(coverage.views)), f"the image {entry.image!r}"
+        require(entry.image in coverage.views, where, found, f"an image of the network ({names})")
     elif entry.file is None:
         raise InputError(where, "every_s without image", "the image of the network along whose track shots are planned")
     if entry.file is None:

@@ -87,8 +87,8 @@ def _connections(project: Project, names: list[str]) -> list[str]:
     elif connected_groups:
         sizes = ", ".join(str(len(island)) for island in connected_groups)
         lines.append(f"Images connected by common points: {many(len(connected_groups), 'group')} ({sizes} images).")
-    lines += [f"Apart from the largest group: {some(island, len(island), _NAMED)}." for island in connected_groups[1:]]
-    return [*lines, *([f"Unconnected images: {some(alone, len(alone), _NAMED)}."] if alone else [])]
+    lines += [f"Apart from the largest group: {some(island, most=_NAMED)}." for island in connected_groups[1:]]
+    return [*lines, *([f"Unconnected images: {some(alone, most=_NAMED)}."] if alone else [])]
 
 
 def _solutions(project: Project, images: bool) -> list[str]:

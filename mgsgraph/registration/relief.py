@@ -247,10 +247,9 @@ def _require_same(case: Case, before: Solution) -> None:
         ("laser profiles of unknown shift", [list(profile_names(network)) for network in networks]),
     ):
         if wanted != found:
-            names = some(found, len(found)) if found else "none"
             raise InputError(
-                f"solution {before.name!r}", f"other {what} ({names})",
-                f"those of the case ({some(wanted, len(wanted))})", "adjust the case again, or give the case itself",
+                f"solution {before.name!r}", f"other {what} ({some(found) or 'none'})",
+                f"those of the case ({some(wanted)})", "adjust the case again, or give the case itself",
             )  # fmt: skip
 
 

@@ -106,8 +106,8 @@ def common_images(solution: Solution, earlier: Solution) -> list[tuple[int, int]
     if not common:
         names = [image.name for image in solution.network.images]
         raise InputError(
-            f"solution {earlier.name!r}, to be compared with", "no image in common",
-            f"some of {some(names, len(names))}", "compare solutions of the same images",
+            f"solution {earlier.name!r}, to be compared with", "no image in common", f"some of {some(names)}",
+            "compare solutions of the same images",
         )  # fmt: skip
     for j, i in common:
         later_image, earlier_image = solution.network.images[j], earlier.network.images[i]
@@ -285,7 +285,7 @@ def input_section(earlier: Solution, solution: Solution, labels: tuple[str, str]
     ]
     if np.any(prior_differs):
         names = [networks[1].images[j].name for j in later_index[prior_differs].tolist()]
-        sentences.append(f"Images of other a-priori sigmas: {some(names, len(names))}.")
+        sentences.append(f"Images of other a-priori sigmas: {some(names)}.")
     return Section("inputs", sentences=[*sentences, *_unshared_sentences(*networks)], tables=[table])
 
 
@@ -301,7 +301,7 @@ def _unshared_sentences(earlier: Network, later: Network) -> Iterator[str]:
         earlier_names, later_names = map(dict.fromkeys, names)
         added, removed = [name for name in later_names if name not in earlier_names], [name for name in earlier_names
                                                                                        if name not in later_names]
-        parts = [f"{word}: {some(each, len(each))}" for word, each in (("new", added), ("removed", removed)) if each]
+        parts = [f"{word}: {some(each)}" for word, each in (("new", added), ("removed", removed)) if each]
         if parts:
             yield f"{kind} that only one of both has, {'; '.join(parts)}."
 

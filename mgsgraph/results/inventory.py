@@ -169,7 +169,7 @@ def images_inventory(path: Path, unmeasured: Unmeasured | None = None) -> str | 
     if not pairs:
         next_step = "an image that overlaps (mgsgraph new)"
     elif without_pixels:
-        next_step = f'pixels = "FILE" in [[images]] for {some(without_pixels, len(without_pixels))}, then {next_step}'
+        next_step = f'pixels = "FILE" in [[images]] for {some(without_pixels)}, then {next_step}'
     else:
         sentences.append(f"Ready for match: {many(len(images), 'image')} with pixels, {many(len(pairs), 'overlap')}.")
     return _as_text([
@@ -255,7 +255,7 @@ def _mounting_rows(pass_: Pass, names: Sequence[str]) -> list[tuple[str, str, st
     for j, angles in zip(pass_.images.tolist(), mountings.tolist(), strict=False):
         images_by_angles.setdefault(", ".join(f"{angle:+.4f}" for angle in angles), []).append(names[j])
     first, *others = images_by_angles.items() or [("", [])]
-    return [(f"mounted at {angles_text} deg (about x, y, z of {first[1][0]})", some(mounted, len(mounted)), "")
+    return [(f"mounted at {angles_text} deg (about x, y, z of {first[1][0]})", some(mounted), "")
             for angles_text, mounted in others]  # fmt: skip
 
 
@@ -274,23 +274,23 @@ def defining_values(images: Sequence[PushbroomImage]) -> list[str]:
     """Sentences with the constants and times that decide the geometry of images, for a look by eye: much of the input
     has no second statement that they could be held against.
     """
-    names, images_by_text = [image.name for image in images], dict[str, list[int]]()
-    for j, image in enumerate(images):
+    names_by_text = dict[str, list[str]]()
+    for image in images:
         interior, timing, body = image.interior, image.timing, image.body
         pitch = 1.0 / float(np.linalg.norm(interior.to_pixel[1, 1:]))
         period = f"{timing.periods.min() / MILLISECOND:.7g}"
         if timing.periods.size > 1:
             period += f" .. {timing.periods.max() / MILLISECOND:.7g}"
         distortion = type(interior.distortion).__name__.removesuffix("Distortion")
-        images_by_text.setdefault(
+        names_by_text.setdefault(
             f"focal length {interior.focal_length / MM:.7g} mm ({distortion or 'no'} distortion), detector pixels of "
             f"{1e6 * pitch:.5g} micrometers, {interior.sample_summing:g} per sample, the first one "
             f"{interior.first[1]:g}, principal point at pixel {interior.centre[1]:.7g}; {period} ms per line; body of "
             f"{body.equatorial / KM:.9g} and {body.polar / KM:.9g} km", [],
-        ).append(j)  # fmt: skip
-    sentences = [f"{some_of(names, np.array(members))}: {text}." for text, members in images_by_text.items()]
+        ).append(image.name)  # fmt: skip
+    sentences = [f"{some(names)}: {text}." for text, names in names_by_text.items()]
     first_lines = [f"{image.name} {utc_of_tdb(image.span[0]):%Y-%m-%dT%H:%M:%S.%f}"[:-3] for image in images]
-    return [*sentences, f"First lines (UTC): {some(first_lines, len(first_lines))}."]
+    return [*sentences, f"First lines (UTC): {some(first_lines)}."]
 
 
 def _orientation_text(network: Network, j: int) -> str:
@@ -399,7 +399,7 @@ def _poorly_covered(network: Network) -> list[str]:
         elif np.ptp(lines) < _SHORT_SPAN * image.lines:
             short_span.append(f"{image.name} ({lines.min():.0f} .. {lines.max():.0f} of {image.lines})")
     return [
-        f"{heading}: {some(images, len(images))}"
+        f"{heading}: {some(images)}"
         for heading, images in (
             (f"images with fewer than {_FEW_POINTS} points, whose orientation is mostly its prior", few_points),
             ("images whose points span few lines, and whose orientation is extrapolated elsewhere", short_span),
@@ -421,7 +421,7 @@ def mounting_warnings(network: Network) -> list[str]:
         passes = [pass_.name for pass_ in network.passes if estimated_images.issuperset(pass_.images.tolist())]
         if passes:
             warnings.append(
-                f"{unknowns} of all cameras of {some(passes, len(passes))} are unknown beside the pass's own "
+                f"{unknowns} of all cameras of {some(passes)} are unknown beside the pass's own "
                 f"{counterpart}: only the a-priori sigmas separate what they have in common from it; leave one "
                 "camera out as the reference"
             )

@@ -216,10 +216,10 @@ def relief_statements(registration: ReliefRegistration) -> list[str]:
          "have too few shots on the surface to take part"),
     ):
         if members:
-            names = some([profile.name for profile in members], len(members))
+            names = some([profile.name for profile in members])
             sentences.append(f"{len(members)} of {len(profiles)} profiles {condition} ({names}).")
     if solution.network.considered:
-        named = some(solution.network.considered, len(solution.network.considered))
+        named = some(solution.network.considered)
         sentences.append(f"Considered, not estimated: {named}; their a-priori sigmas are part of all sigmas.")
     sentences.append(f"Sigma0 is {registration.before.sigma0:.3g} without stereo rows, "
                      f"{solution.sigma0:.3g} with them.")

@@ -101,7 +101,7 @@ def write_dem(dem: Dem, scene: Scene, settings: DemSettings, folder: Path, figur
     """Write all files into an existing folder."""
     grid = ortho_grid(dem, scene, settings)
     progress("ortho image", 0, 1)
-    tags = {"case": dem.name, "images": some(dem.images, len(dem.images), 20), "sigmas": "for sigma0 = 1"}
+    tags = {"case": dem.name, "images": some(dem.images, most=20), "sigmas": "for sigma0 = 1"}
     write_model(dem.model, dem.heights, dem.reference, tags, folder / "dem.tif")
     write_ortho_accuracy(dem, folder / "ortho_sigma.tif")
     write_ortho(scene.pictures[dem.ortho], dem.model, scene.ground, grid, folder / "ortho.tif", progress)
@@ -134,7 +134,7 @@ def dem_section(dem: Dem) -> Section:
     ]
     if inconsistent := [" and ".join(pair.images) for pair in dem.pairs if pair.miss > _UNEXPLAINED * pair.miss_sigma]:
         sentences.append(
-            f"Rays of {some(inconsistent, len(inconsistent))} miss each other by more than matching explains: the rest "
+            f"Rays of {some(inconsistent)} miss each other by more than matching explains: the rest "
             "is the orientation's, by its sigmas or by motion that the adjustment doesn't follow."
         )
     if not dem.profiles:

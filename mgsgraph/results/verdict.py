@@ -21,7 +21,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network
 from mgsgraph.results.section import Section, record_of, table_of
-from mgsgraph.text import length, listed, many, short, some, some_of, two
+from mgsgraph.text import length, listed, many, short, some, two
 from mgsgraph.units import ARCSEC, DEG
 
 _SIGMA_KEYS = {
@@ -272,12 +272,11 @@ def _member_names(solution: Solution, group: Contributions) -> list[str]:
 
 def reading_statements(images: Sequence[PushbroomImage]) -> list[str]:
     """One sentence for each remark of the readers of images, with the images that it is of."""
-    names = [image.name for image in images]
-    of_remark = dict[str, list[int]]()
-    for j, image in enumerate(images):
+    of_remark = dict[str, list[str]]()
+    for image in images:
         for remark in image.remarks:
-            of_remark.setdefault(remark, []).append(j)
-    return [f"As read, {some_of(names, np.array(members))}: {remark}." for remark, members in of_remark.items()]
+            of_remark.setdefault(remark, []).append(image.name)
+    return [f"As read, {some(names)}: {remark}." for remark, names in of_remark.items()]
 
 
 def beyond_priors_statements(network: Network, residuals: Array) -> list[str]:
@@ -288,8 +287,7 @@ def beyond_priors_statements(network: Network, residuals: Array) -> list[str]:
     ]
     return implausible and [
         "residuals with the nominal orientation are larger than a-priori sigmas explain, median of "
-        f"{some(implausible, len(implausible))}: images, lines and samples, or labels may be interchanged, or sigmas "
-        "too small"
+        f"{some(implausible)}: images, lines and samples, or labels may be interchanged, or sigmas too small"
     ]
 
 
@@ -301,5 +299,5 @@ def range_statements(network: Network, residuals: Array) -> list[str]:
     ]
     return implausible and [
         "laser ranges minus the distances to their footprints have a mean that no a-priori sigma explains, "
-        f"{some(implausible, len(implausible))}: look at the ranges, the footprints' radii and the orbit first"
+        f"{some(implausible)}: look at the ranges, the footprints' radii and the orbit first"
     ]

@@ -309,7 +309,7 @@ def images_of(path: Path, known: Collection[str] = (), prefix: str | None = None
         return pairs[0]
     if not pairs:
         if known:
-            remedy = f"they are {some(list(known), len(known))}"
+            remedy = f"they are {some(list(known))}"
             raise InputError(str(path), "a file's name without two of the images", _FORM, remedy)
         expected = _FORM if prefix is None else f"{prefix}-IMAGE1__IMAGE2"
         raise InputError(str(path), "a file's name that doesn't tell the images", expected)

@@ -170,8 +170,8 @@ def adjusted_names(
     if missing := [name for name in names if name not in adjusted]:
         both = sum(name in adjusted for name in available) > 1
         raise InputError(
-            where, f"images that the solution doesn't have: {some(missing, len(missing))}",
-            f"those that were adjusted ({some(adjusted, len(adjusted))})",
+            where, f"images that the solution doesn't have: {some(missing)}",
+            f"those that were adjusted ({some(adjusted)})",
             "adjust this case, or give --image" if both else "give the case that was adjusted",
         )  # fmt: skip
     return names
