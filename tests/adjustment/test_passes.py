@@ -9,6 +9,7 @@ import pytest
 from explicit_form import by_gtsam
 from mex_block import BlockSettings, TrajectoryErrors, simulate_hrsc_block
 from networks import NODES, network, on_passes, pair, with_shift_and_surface
+from outside import refuses
 from redraw import forward_intersection, redraw
 from sharing import with_all_kinds
 
@@ -101,8 +102,7 @@ def test_a_mounting_changes_nothing_but_the_axes(line: Line, optics: bool) -> No
 
 
 def test_mountings_that_cannot_be() -> None:
-    with pytest.raises(InputError, match="looks away"):
-        Detector(np.zeros((1, 2)), np.ones((1, 2))).in_axes(turned(1.7, 0.0, 0.0), 0.7)
+    refuses("looks away", Detector(np.zeros((1, 2)), np.ones((1, 2))).in_axes, turned(1.7, 0.0, 0.0), 0.7)
     with pytest.raises(InputError, match="solver, angles"):  # angles that are added have none
         adjust_network(mounted(network(pair(ties=10, shots=4))), SolverSettings(angles="opk-paper"))
 

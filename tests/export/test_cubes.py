@@ -18,6 +18,7 @@ import pytest
 from commands import call, refusal
 from cubes import LINES, MAPPED, PERIOD, START, written
 from full_disk import files_of_at_most
+from outside import refuses
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation, Slerp
 
@@ -269,11 +270,9 @@ def test_what_is_read_back_otherwise_is_refused(shared_data: Path, tmp_path: Pat
     cube = shared_data / REAL[0]
     image = read_isis_cube(cube)
     longer = replace(image, interior=replace(image.interior, focal_length=1.001 * image.interior.focal_length))
-    with pytest.raises(InputError, match=r"px off the solution's; expected at most 0.0001 px; export csm or spice"):
-        copied(cube, tmp_path, longer)
+    refuses(r"px off the solution's; expected at most 0.0001 px; export csm or spice", copied, cube, tmp_path, longer)
     monkeypatch.setattr(writer, "adjusted_nodes", twice)
-    with pytest.raises(InputError, match=r"a camera \d\.\d+ px off the solution's"):
-        copied(shared_data / REAL[1], tmp_path)
+    refuses(r"a camera \d\.\d+ px off the solution's", copied, shared_data / REAL[1], tmp_path)
 
 
 def test_a_cube_of_another_time_is_refused(shared_data: Path, tmp_path: Path) -> None:
@@ -324,10 +323,8 @@ def test_a_full_disk_leaves_the_originals(pairs: Any, tmp_path: Path) -> None:
     made, held = pairs
     before = held()
     with files_of_at_most(66000):
-        with pytest.raises(InputError, match=r"b.cub: can't be written \(File too large\)"):
-            replace_cubes(made)
-        with pytest.raises(InputError, match="can't be written"):
-            copied(made[0][1], tmp_path / "other")
+        refuses(r"b.cub: can't be written \(File too large\)", replace_cubes, made)
+        refuses("can't be written", copied, made[0][1], tmp_path / "other")
     assert held() == before
     assert not list(tmp_path.rglob(".*"))
 
@@ -336,8 +333,7 @@ def test_a_write_protected_cube_stays(pairs: Any) -> None:
     made, held = pairs
     before = held()
     made[1][1].chmod(0o444)
-    with pytest.raises(InputError, match="a write-protected cube"):
-        replace_cubes(made)
+    refuses("a write-protected cube", replace_cubes, made)
     assert held() == before
     made[1][1].chmod(0o640)
     os.chown(made[1][1], *((12345, 54321) if os.geteuid() == 0 else (-1, -1)))

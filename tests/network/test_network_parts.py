@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from networks import network, pair, terrain, with_shift_and_surface
 from odd_networks import random_network
+from outside import refuses
 from stereo_pair import stereo_network
 
 from mgsgraph.errors import InputError
@@ -282,8 +283,7 @@ def test_two_terrain_models_are_refused(change: str) -> None:
     assert two.surface is not None
     sigmas = two.surface.sigmas
     other = Surface(terrain(net), sigmas, 150.0) if change == "grid" else Surface(two.surface.grid, sigmas, 10.0)
-    with pytest.raises(InputError, match="another terrain model"):
-        joined([one, replace(two, surface=other)])
+    refuses("another terrain model", joined, [one, replace(two, surface=other)])
 
 
 # --- observations

@@ -14,6 +14,7 @@ import shapely
 from commands import rows_of
 from full_disk import files_of_at_most
 from networks import network, pair, with_shift_and_surface
+from outside import refuses
 from pyarrow import parquet
 from rasterio.crs import CRS
 from stereo_pair import stereo_network
@@ -365,8 +366,7 @@ def test_a_file_that_does_not_fit_is_an_error(tmp_path: Path) -> None:
         write_sigma_raster(GRID, MARS, tmp_path / "sigmas.tif")
     assert list(tmp_path.iterdir()) == []
     (tmp_path / "file").write_text("in the way")
-    with pytest.raises(InputError, match="can't be written"):
-        write_sigma_raster(GRID, MARS, tmp_path / "file" / "sigmas.tif")
+    refuses("can't be written", write_sigma_raster, GRID, MARS, tmp_path / "file" / "sigmas.tif")
 
 
 def test_every_question_has_its_answer_in_words_and_figures() -> None:
