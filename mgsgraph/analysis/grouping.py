@@ -16,6 +16,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.rows import GROUND, OUT
+from mgsgraph.names import numbered
 from mgsgraph.network import Network, Pass, PointClass, ProfileShifts
 
 if TYPE_CHECKING:
@@ -112,9 +113,9 @@ def group_rows(network: Network) -> Grouping:
     labels += [part for j, part in enumerate(parts) if j >= polynomial.size or polynomial[j]]
     labels.append(np.full(0 if network.crossovers is None else 1, CROSSOVERS))
     names = list(dict.fromkeys(name for part in labels for name in dict.fromkeys(part.tolist())))
-    number = {name: g for g, name in enumerate(names)}
+    number = numbered(names)
 
-    def numbered(part: Sequence[str]) -> Index:
+    def numbers_in(part: Sequence[str]) -> Index:
         return np.array([number.get(name, 0) for name in part], dtype=np.int64)
 
     def constant(name: str, size: int) -> Index:
@@ -122,12 +123,12 @@ def group_rows(network: Network) -> Grouping:
 
     return Grouping(
         tuple(names),
-        numbered(of_ray.tolist()),
+        numbers_in(of_ray.tolist()),
         constant(RANGES, network.ranges.point.size),
         constant(GROUND_PRIORS, n),
         constant(HEIGHTS, n),
         constant(STEREO_HEIGHTS, n),
-        tuple(numbered(part.tolist()) for part in parts),
+        tuple(numbers_in(part.tolist()) for part in parts),
         number.get(CROSSOVERS, 0),
     )
 

@@ -110,7 +110,7 @@ def sigma_grid(
     points measured to 0.5 px in SIM/A, SIM/B would have sigmas of 6.63 m east, 7 m north and 20.8 m up (medians
     over 255 cells); up is worst at 24.3 m
     """
-    names = tuple(images) or tuple(image.name for image in posterior.network.images)
+    names = tuple(images) or tuple(posterior.network.image_names)
     numbers = [posterior.network.image_number(name) for name in names]
     if len(numbers) < 2 or len(set(names)) < len(names):
         raise InputError("sigma raster", f"images {', '.join(names)}", "two or more different images")

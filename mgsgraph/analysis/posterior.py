@@ -39,6 +39,7 @@ from mgsgraph.geometry.orientation import COMPONENTS, OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.kernel.rows import FIXED, GOOD, OUT
 from mgsgraph.kernel.sweep import COSTS, point_covariances, reduce
+from mgsgraph.names import numbered
 from mgsgraph.network import ImageRays, Network
 from mgsgraph.network.corrections import adjusted_image, designs, whole_correction
 from mgsgraph.network.parts import Unknown, select_points, unknowns
@@ -362,7 +363,7 @@ def posterior_of_points(solution: Solution, points: Index) -> Posterior | None:
     network = solution.network.with_rejected(solution.rays_rejected, solution.ranges_rejected, solution.stereo_rejected)
     if not is_self_contained(network) or (solution.minima is not None and solution.minima.several):
         return None
-    number = {unknown: v for v, unknown in enumerate(unknowns(network))}
+    number = numbered(unknowns(network))
     values = dict(zip(number, solution.values, strict=True))
     joint = solution.joint_covariance
     return posterior_of(

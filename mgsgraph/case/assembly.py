@@ -26,7 +26,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array, Index, Mask, chosen_rows, concatenated
 from mgsgraph.geometry.terrain import TerrainGrid
-from mgsgraph.names import Names, RepeatedNames
+from mgsgraph.names import Names, RepeatedNames, numbered
 from mgsgraph.network import (
     GroundPoints,
     ImageRays,
@@ -110,7 +110,7 @@ class Parts:
 
     def __init__(self, images: tuple[PushbroomImage, ...]) -> None:
         self.images = images
-        self._index = {image.name: j for j, image in enumerate(images)}
+        self._index = numbered(image.name for image in images)
         self.count = 0
         """Points so far."""
         self._names: list[tuple[str, Names]] = []

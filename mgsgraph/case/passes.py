@@ -35,6 +35,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationImages, OrientationPrior, evenly_spaced
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.trajectory import AttitudeTable, FixedTrajectory, PositionTable, Trajectory, utc_of_tdb
+from mgsgraph.names import numbered
 from mgsgraph.network import (
     Network,
     NodePrior,
@@ -167,7 +168,7 @@ def _longest(pictures: Sequence[PushbroomImage]) -> float:
 
 def members(entries: Sequence[PassInput], names: Sequence[str], path: str) -> list[list[int]]:
     """Images of each pass, ascending, by the names of all; each image is of one at most."""
-    index, owner = {name: j for j, name in enumerate(names)}, dict[int, int]()
+    index, owner = numbered(names), dict[int, int]()
     for k, entry in enumerate(entries):
         where = f"{path}, passes[{k}], images"
         if entry.images is not None and not entry.images:

@@ -107,7 +107,7 @@ class Case(Record):
 
     def require_images_of(self, solution: "Solution") -> None:
         """Raise InputError where it has none of a solution's images: it is the case of another solution."""
-        own, others = (sorted(image.name for image in net.images) for net in (self.network, solution.network))
+        own, others = (sorted(net.image_names) for net in (self.network, solution.network))
         if not set(own) & set(others):
             found = f"images such as {own[0]}"
             raise InputError(str(self.path), found, f"those of the solution, such as {others[0]}", "name its case")
@@ -279,7 +279,7 @@ def _with_shared(
     """The network with the unknowns that its images share, and with heights and beams of profiles; those of the laser
     go with its rows.
     """
-    names = [image.name for image in network.images]
+    names = network.image_names
     shared = tuple(entry.unknown(names, f"{path}, shared[{k}]") for k, entry in enumerate(tables.shared))
     of_mountings = mounted(tables.mountings, instruments(tables, path), names, str(path))
     unknown = mounting_unknowns(tables.mountings, of_mountings, network, str(path))

@@ -75,7 +75,7 @@ def write_asp(
 
 def _files(solution: Solution, named: Mapping[str, str]) -> list[str]:
     """File of each image's pixels."""
-    names = [image.name for image in solution.network.images]
+    names = solution.network.image_names
     for name in named:
         if name not in names:
             found, some_names = f"the image {name!r}", ", ".join(names[:4])
@@ -98,7 +98,7 @@ def _has_pixels(file: str) -> bool:
 def _taking_part(solution: Solution, files: Sequence[str], scaled: bool) -> ControlNetwork:
     """The adjusted network with only the measures that took part, and images named by their files."""
     network = adjusted_network(solution, scaled=scaled)
-    file = dict(zip((image.name for image in solution.network.images), files, strict=True))
+    file = dict(zip(solution.network.image_names, files, strict=True))
     ids, rays = solution.network.points.ids, solution.network.rays
     used = {
         (ids[i], solution.network.images[j].name)

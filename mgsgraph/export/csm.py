@@ -264,7 +264,7 @@ def write_csm(
         has: which field is said.
     """
     originals = originals or {}
-    names = {image.name for image in solution.network.images}
+    names = set(solution.network.image_names)
     for name in sorted((originals.keys() | (files or {}).keys()) - names):
         raise InputError(f"file of {name}", "no image of the solution", f"one that was adjusted ({min(names)}, ...)")
     stems = file_stems(solution, files)
@@ -286,7 +286,7 @@ def write_csm(
 
 def file_stems(solution: Solution, files: Mapping[str, str] | None = None) -> list[str]:
     """A file name for each image, without its end: that of its file, or else its own name."""
-    names = [image.name for image in solution.network.images]
+    names = solution.network.image_names
     own = {name: Path(file).stem for name, file in (files or {}).items()}
     stems = [file_stem(own.get(name, name)).lstrip(".") or "_" for name in names]
     folded = [stem.casefold() for stem in stems]

@@ -129,7 +129,7 @@ def write_cubes(
         since its constants were adjusted, too; a file that can't be written.
     """
     paths, originals, biased, mapped, without = list[Path](), _New(), list[str](), list[str](), list[str]()
-    largest, names = 0.0, [image.name for image in solution.network.images]
+    largest, names = 0.0, solution.network.image_names
     for j, name in enumerate(names):
         cube = _cube(sources[name]) if name in sources else None
         if cube is None:

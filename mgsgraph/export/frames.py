@@ -140,7 +140,7 @@ def to_xarray(solution: Solution, places: int = 31) -> "Dataset":
     ({'image': 2, 'place': 3, 'axis': 3, 'angle': 3, 'camera_axis': 3}, ['lines', 'times', 'position_before'])
     """
     xarray = library("xarray", _EXTRA, "orientation profiles")
-    profiles, images = orientation_profiles(solution, places=places), [image.name for image in solution.network.images]
+    profiles, images = orientation_profiles(solution, places=places), solution.network.image_names
     texts, variables, labels = meanings(OrientationProfile), dict[str, Any](), dict[str, Any]()
     for name in (field for field in texts if isinstance(getattr(profiles, field), np.ndarray)):
         values = getattr(profiles, name)

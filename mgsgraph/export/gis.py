@@ -122,7 +122,7 @@ def _footprints(solution: Solution, footprints: tuple[Footprint, ...], name: str
     edges = np.array([image.span for image in network.images])
     heights = [geodetic(footprint.outline, footprint.body)[:, 2] for footprint in footprints]
     fields = {
-        "image": [image.name for image in network.images],
+        "image": network.image_names,
         "pass": picked(owners, network.pass_of + 1),
         "held": network.held,
         "whole": np.array([footprint.whole for footprint in footprints]),
@@ -302,7 +302,7 @@ def _misregistration(solution: Solution) -> Vectors:
     """Laser points in every image that they fall into with the adjusted orientation."""
     parts = [_in_image(solution, j, footprint) for j, footprint in enumerate(_adjusted_footprints(solution))]
     points, starts, ends, before, after = (np.concatenate(column) for column in zip(*parts, strict=True))
-    images = [name for part, name in zip(parts, (image.name for image in solution.network.images), strict=True)
+    images = [name for part, name in zip(parts, solution.network.image_names, strict=True)
               for _ in range(part[0].size)]  # fmt: skip
     fields = {
         **_point_names(solution, points),
@@ -350,7 +350,7 @@ def _residuals(solution: Solution) -> Vectors:
         steps[of_image] = np.einsum("nij,nj->ni", rate, solution.residuals[of_image])
     starts = solution.places[rays.point]
     finite = np.flatnonzero(np.isfinite(starts + steps).all(axis=1))
-    names = [image.name for image in solution.network.images]
+    names = solution.network.image_names
     fields = {
         **_point_names(solution, rays.point[finite]),
         "image": picked(names, rays.image[finite]),

@@ -87,7 +87,7 @@ def write_isis(
     InputError
         No point with a measure; what a format can't hold, which is named; a file that can't be written.
     """
-    images = frozenset(image.name for image in solution.network.images)
+    images = frozenset(solution.network.image_names)
 
     def complete(network: ControlNetwork) -> Restored:
         return Restored(network) if source is None else with_content(network, source, images)
@@ -166,7 +166,7 @@ def adjusted_network(
 
 def _measures(solution: Solution) -> list[list[ControlMeasure]]:
     """Of each point, in the order of the rays; back-projections are candidates, which were not measured."""
-    rays, images = solution.network.rays, [image.name for image in solution.network.images]
+    rays, images = solution.network.rays, solution.network.image_names
     measures = list[list[ControlMeasure]]([] for _ in solution.network.points.ids)
     guessed = rays.back_projected if rays.back_projected is not None else np.zeros(rays.point.size, dtype=np.bool_)
     numbers = (rays.places + ISIS_OFFSET, solution.residuals, solution.network.ray_sigmas)
@@ -260,7 +260,7 @@ def adjusted_lidar_text(solution: Solution, factor: float = 1.0) -> str:
 def _lidar_measures(solution: Solution) -> dict[int, list[LidarMeasure]]:
     """Measures that took part, by index of the point."""
     measures = dict[int, list[LidarMeasure]]()
-    rays, names = solution.network.rays, [image.name for image in solution.network.images]
+    rays, names = solution.network.rays, solution.network.image_names
     for k in np.flatnonzero(solution.rays_used).tolist():
         line, sample = (rays.places[k] + ISIS_OFFSET).tolist()
         measures.setdefault(int(rays.point[k]), []).append(LidarMeasure(line, sample, names[int(rays.image[k])]))

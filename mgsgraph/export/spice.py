@@ -193,7 +193,7 @@ class _Export:
 
 
 def _exported(solution: Solution, naming: SpiceNaming, origin: str) -> _Export:
-    for name in naming.images.keys() - {image.name for image in solution.network.images}:
+    for name in naming.images.keys() - set(solution.network.image_names):
         raise InputError(f"NAIF ids of {name}", "no image of the solution", "one that was adjusted")
     body = _body(solution, naming)
     network, carriers = solution.network, _carriers(solution, naming, reprojection(solution))

@@ -159,7 +159,7 @@ def connectivity(network: Network, footprints: Sequence["Footprint"], used: Mask
     used : (rays,), optional
         False for rays that don't count (rejected ones).
     """
-    if tuple(footprint.name for footprint in footprints) != tuple(image.name for image in network.images):
+    if tuple(footprint.name for footprint in footprints) != tuple(network.image_names):
         raise InputError("connectivity", f"footprints of {len(footprints)} images", "one of each image, in order")
     m = len(footprints)
     linked, shared = _common_by_class(network, used)

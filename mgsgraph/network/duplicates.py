@@ -102,7 +102,7 @@ def duplicates(network: Network, since: int = 0) -> tuple[Duplicates, ...]:
         first, again = first[again >= since], again[again >= since]
         names = tuple(zip(points.ids[first[:NAMED]], points.ids[again[:NAMED]], strict=True))
         records.append(Duplicates(kind, first, again, names, int(np.count_nonzero(points.classes == of_class))))
-    images = [image.name for image in network.images]
+    images = network.image_names
     first, again = joined_pairs(np.array(duplicate_images(network.images), dtype=np.int64).reshape(-1, 2))
     names = tuple((images[j], images[k]) for j, k in zip(first[:NAMED].tolist(), again[:NAMED].tolist(), strict=True))
     records.append(Duplicates(DuplicateKind.IMAGE, first, again, names, len(images)))

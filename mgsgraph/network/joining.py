@@ -19,6 +19,7 @@ from mgsgraph.geometry.orientation import OrientationImages, Sine
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.geometry.trajectory import Pose
+from mgsgraph.names import numbered
 from mgsgraph.network.network import Network
 from mgsgraph.network.passes import Pass, PassPrior
 from mgsgraph.network.shared import SharedKind, SharedUnknown
@@ -391,7 +392,7 @@ class Definitions:
 
 def definitions(network: Network) -> Definitions:
     """Of a network."""
-    names = [image.name for image in network.images]
+    names = network.image_names
 
     def named(images: Index) -> tuple[str, ...]:
         return tuple(names[j] for j in images.tolist())
@@ -413,7 +414,7 @@ def with_definitions(network: Network, named: Definitions) -> Network:
     """A network with these passes and shared unknowns in the place of its own, as far as its images have them."""
     if not (named or network.passes or network.shared):
         return network
-    number = {image.name: j for j, image in enumerate(network.images)}
+    number = numbered(network.image_names)
     present = named.of(number)
     considered = [name for name in network.considered if name in network.shift_names]
     considered += [item.name for item in present.shared.values() if item.considered]

@@ -22,7 +22,7 @@ from mgsgraph.geometry.records import (
     require_names,
 )
 from mgsgraph.geometry.terrain import TerrainGrid
-from mgsgraph.names import number_of
+from mgsgraph.names import number_of, numbered
 from mgsgraph.network.common import CommonErrors, scaled
 from mgsgraph.network.passes import Pass
 from mgsgraph.network.records import (
@@ -97,7 +97,7 @@ class Network(Record):
     def __post_init__(self) -> None:
         n, m = len(self.points), len(self.images)
         require(m != 0, "network", "no images", "at least one")
-        require_names(tuple(image.name for image in self.images), "images")
+        require_names(self.image_names, "images")
         if len(self.priors) != m:
             raise InputError("network", f"{len(self.priors)} orientation priors", f"one for each of {m} images")
         held = frozen_mask(self.held, "network, held", m)
@@ -336,14 +336,19 @@ class Network(Record):
     @cached_property
     def _numbers(self) -> Mapping[str, Mapping[str, int]]:
         names = {
-            "image": [image.name for image in self.images], "shift": list(self.shift_names),
+            "image": self.image_names, "shift": list(self.shift_names),
             "shared unknown": [owner.name for owner in self.shared], "pass": [owner.name for owner in self.passes],
         }  # fmt: skip
-        return {what: {name: k for k, name in enumerate(several)} for what, several in names.items()}
+        return {what: numbered(several) for what, several in names.items()}
 
     @cached_property
     def _point_numbers(self) -> Mapping[str, int]:
-        return {name: i for i, name in enumerate(self.points.ids)}
+        return numbered(self.points.ids)
+
+    @property
+    def image_names(self) -> list[str]:
+        """Names of the images."""
+        return [image.name for image in self.images]
 
     def pictures(self, pass_: str | int) -> list[PushbroomImage]:
         """Images of a pass."""

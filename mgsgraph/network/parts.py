@@ -12,7 +12,7 @@ from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import SUPPORT, OrientationPrior
 from mgsgraph.geometry.records import Array, Index, Mask, chosen_rows, concatenated, place_of
-from mgsgraph.names import Names
+from mgsgraph.names import Names, numbered
 from mgsgraph.network.joining import NamedPass, definitions, united, with_definitions
 from mgsgraph.network.network import Network
 from mgsgraph.network.passes import Pass
@@ -346,7 +346,7 @@ def joined(networks: Sequence[Network]) -> Network:
     if len(networks) == 1:
         return networks[0]
     images = {image.image.name: image for net in networks for image in known_images(net)}
-    number = {name: j for j, name in enumerate(images)}
+    number = numbered(images)
     image_of = [np.array([number[image.name] for image in net.images], dtype=np.int64) for net in networks]
     place_of, points = _joined_points(networks)
     rays = ImageRays(*_columns(
@@ -429,7 +429,7 @@ def _joined_shifts(networks: Sequence[Network], place_of: list[Index], count: in
                 raise InputError(f"profile {name}", found, "one")
     if not sigmas:
         return None
-    number, profile = {name: p for p, name in enumerate(sigmas)}, np.full(count, -1)
+    number, profile = numbered(sigmas), np.full(count, -1)
     for net, place in zip(networks, place_of, strict=True):
         if net.shifts is not None:
             shifted = net.shifts.profile >= 0
@@ -453,7 +453,7 @@ def _joined_surface(networks: Sequence[Network], place_of: list[Index], count: i
 def with_images(network: Network, images: Sequence[KnownImage]) -> Network:
     """A network with all of these images, in their order; those that no measure names are in it, too."""
     require_separable(network)
-    place = {image.image.name: j for j, image in enumerate(images)}
+    place = numbered(image.image.name for image in images)
     number = np.array([place[image.name] for image in network.images], dtype=np.int64)
     rays, ranges, (pictures, priors, held) = network.rays, network.ranges, image_columns(images)
     stereo, named = network.stereo, definitions(network)
@@ -477,7 +477,7 @@ def without_images(network: Network, names: Iterable[str]) -> Network | None:
 
     Points that no ray and no range is left of go, too: the images had brought them.
     """
-    network, removed = network.independent, np.isin([image.name for image in network.images], list(names))
+    network, removed = network.independent, np.isin(network.image_names, list(names))
     rays, ranges = ~removed[network.rays.image], ~removed[network.ranges.image]
     measured = np.zeros(len(network.points), dtype=bool)
     measured[network.rays.point[rays]] = measured[network.ranges.point[ranges]] = True

@@ -14,7 +14,7 @@ import numpy as np
 from mgsgraph.errors import InputError, require
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.names import Names
+from mgsgraph.names import Names, numbered
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, ProfileShifts, Ranges, Surface
 from mgsgraph.network.joining import with_definitions
 from mgsgraph.network.parts import KnownImage, image_columns, joined, select_points
@@ -279,7 +279,7 @@ def _network(
         return None
     images = [view.known for name, view in coverage.views.items() if name in used]
     images += [new_image] if new_image is not None and new_image.image.name in used else []
-    number = {image.image.name: j for j, image in enumerate(images)}
+    number = numbered(image.image.name for image in images)
     shots = Ranges.none()
     if ranges is not None:
         shots = Ranges(ranges[0], np.full(ranges[0].size, number[ranges[1]]), *ranges[2:])

@@ -20,6 +20,7 @@ from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.kernel.rows import Rows
 from mgsgraph.kernel.sweep import Reduction
+from mgsgraph.names import numbered
 from mgsgraph.network import Network
 from mgsgraph.network.corrections import whole_correction
 from mgsgraph.network.joining import Definitions, definitions, united, with_definitions
@@ -165,7 +166,7 @@ class ReducedNetwork:
 
     def columns(self, names: Sequence[Unknown]) -> Index:
         """Columns of some unknowns, one after another."""
-        number = {name: v for v, name in enumerate(self.names)}
+        number = numbered(self.names)
         return self.layout.variables.columns_of_all(number[name] for name in names)
 
     @property
@@ -175,7 +176,7 @@ class ReducedNetwork:
 
     def information(self, names: Sequence[Unknown], priors: bool = False) -> Array:
         """Information matrix (d, d) of some unknowns, all others known, per m and rad; with or without their priors."""
-        layout, number = self.layout, {name: v for v, name in enumerate(self.names)}
+        layout, number = self.layout, numbered(self.names)
         numbers = [number[name] for name in names]
         first = dict(zip(numbers, np.cumsum([0, *(layout.variables.width[v] for v in numbers)]).tolist(), strict=False))
         size = int(sum(layout.variables.width[v] for v in numbers))
@@ -213,13 +214,13 @@ class CurrentState(ReducedNetwork):
         if variables.with_considered:
             self._held = orientation_covariance(graph, self.reduction, consider=False)
         self.considered = [self.names[v] for v in variables.with_considered]
-        self.index_of = {name: i for i, name in enumerate(state.network.points.ids)}
+        self.index_of = numbered(state.network.points.ids)
 
     def held_with(self, names: Sequence[Unknown]) -> Array:
         """Covariance (columns, d), m and rad, of all shared unknowns with some, one after another; considered ones are
         held, as the estimates have them.
         """
-        number = {name: v for v, name in enumerate(self.names)}
+        number = numbered(self.names)
         ones = np.array([number[name] for name in names], dtype=np.int64)
         return self._held.square_root.cross(ones, self._held.adjusted).T
 
@@ -367,7 +368,7 @@ def updated(present: CurrentState, adds: AddedInformation) -> Update:
 
 def _positions(network: ReducedNetwork, among: Sequence[Unknown], some: Sequence[Unknown]) -> Index:
     """(d,) positions of the columns of some unknowns among the columns of others; -1 for none."""
-    number = {column: k for k, column in enumerate(network.columns(among).tolist())}
+    number = numbered(network.columns(among).tolist())
     return np.array([number.get(column, -1) for column in network.columns(some).tolist()], dtype=np.int64)
 
 

@@ -108,7 +108,7 @@ def _former_points(store: ProjectStore, points: Names) -> FormerPoints | None:
     surface, grids = network.surface, (None if network.surface is None else network.surface.grid, network.areoid)
     terrain, areoid = (0 if grid is None else store.grid_number(grid) for grid in grids)
     return FormerPoints(
-        tuple(image.name for image in network.images), network.points, network.rays, network.ranges, network.shifts,
+        tuple(network.image_names), network.points, network.rays, network.ranges, network.shifts,
         None if surface is None else surface.sigmas, terrain, 0.0 if surface is None else surface.shift_sigma,
         areoid, network.stereo, network.considered,
     )  # fmt: skip

@@ -230,7 +230,7 @@ class ProjectStore:
         network, connection = bundle.network, self._connection
         surface = network.surface
         (number,) = self._row("SELECT coalesce(max(seq), 0) + 1 FROM sqlite_sequence WHERE name = 'bundle'")
-        images = self._numbers_of(tuple(image.name for image in network.images))
+        images = self._numbers_of(tuple(network.image_names))
         points, rays, ranges = network.points, network.rays, network.ranges
         sigmas = np.full(len(points), np.inf) if surface is None else surface.sigmas
         self._cells.write_names(number, points.ids)

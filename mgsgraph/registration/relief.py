@@ -230,7 +230,7 @@ def _require_profiles(case: Case) -> None:
 
 def _require_pictures(case: Case, settings: ReliefSettings) -> None:
     """Raise InputError unless a case has the necessary images and pixels; called before long work."""
-    names = [image.name for image in case.network.images]
+    names = case.network.image_names
     with errors_from(str(case.path)):
         image_names(settings.images, names)
     require(len(names) >= 2, str(case.path), "one image", "two that overlap, at least")
@@ -243,7 +243,7 @@ def _require_same(case: Case, before: Solution) -> None:
     """Raise InputError unless a solution has the images and the profiles of a case."""
     networks = case.network, before.network
     for what, (wanted, found) in (
-        ("images", [[image.name for image in network.images] for network in networks]),
+        ("images", [network.image_names for network in networks]),
         ("laser profiles of unknown shift", [list(profile_names(network)) for network in networks]),
     ):
         if wanted != found:

@@ -89,7 +89,7 @@ def outliers_section(tests: Reliability) -> Section:
     for k in order[last_of_image].tolist():
         largest[image_of[k]], largest_point[image_of[k]] = abs_test[k], network.points.ids[measures.point[rays[k]]]
     table = table_of("outliers", {
-        "image": [image.name for image in network.images], "measurements": ray_counts,
+        "image": network.image_names, "measurements": ray_counts,
         "left_out": ray_counts - np.bincount(image_of, minlength=image_count) // 2,
         "over": np.bincount(image_of[abs_test > tests.critical], minlength=image_count),
         "expected": tests.levels.alpha * np.bincount(image_of, minlength=image_count), "largest": largest,
@@ -102,7 +102,7 @@ def reliability_table(tests: Reliability, rows: Index | None = None) -> Table:
     """One row per scalar measure, or per those with indices `rows`, the largest test first; units in `unit`."""
     measures, order = tests.measures, tests.order(len(tests)) if rows is None else rows
     points = [*tests.at.network.points.ids, ""]  # the last one is that of row -1
-    images = [*(image.name for image in tests.at.network.images), ""]
+    images = [*tests.at.network.image_names, ""]
 
     def finite(values: np.ndarray) -> np.ndarray:
         return np.where(np.isfinite(values), values, np.nan)[order]

@@ -227,7 +227,7 @@ def _unknowns_table(network: Network) -> Table:
     """Unknowns beside points and images' polynomials: passes and how their cameras are mounted, what images share, the
     terrain model's own; with a-priori sigmas.
     """
-    names, rows = [image.name for image in network.images], list[tuple[str, str, str]]()
+    names, rows = network.image_names, list[tuple[str, str, str]]()
     for pass_ in network.passes:
         sigmas = pass_.prior.node_sigmas(np.zeros(len(pass_.nodes)))[0]
         rows.append((

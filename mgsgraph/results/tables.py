@@ -97,7 +97,7 @@ def residuals_table(solution: Solution) -> Table:
         "kind": picked(("image", "range", "stereo height"), np.repeat(np.arange(3), [k, r, h])),
         "point": picked(network.points.ids, point_numbers),
         "class": _member_names(PointClass, network.points.classes[point_numbers]),
-        "image": picked(["", *(image.name for image in network.images)], image_numbers + 1), "used": used,
+        "image": picked(["", *network.image_names], image_numbers + 1), "used": used,
         "tested": tested,
         "isis_line": padded(np.concatenate([rays.places[:, 0], _shot_lines(solution)]), 0, h) + ISIS_OFFSET,
         "isis_sample": padded(rays.places[:, 1], 0, r + h) + ISIS_OFFSET, **of_rays,

@@ -9,6 +9,7 @@ import numpy as np
 from mgsgraph.adjustment.incremental.state import NOTICEABLE, Bundle, Settled, Shared, shared_of
 from mgsgraph.files.output.table import Column, Table
 from mgsgraph.geometry.records import Array, Mask
+from mgsgraph.names import numbered
 from mgsgraph.network.parts import Members, Unknown
 from mgsgraph.record import Record, card
 from mgsgraph.text import many
@@ -292,7 +293,7 @@ def _as_they_were(
     """
     same = {members for members, part in bundles.items() if members in old and part.network is old[members].network}
     mixed = [part for members, part in old.items() if members not in same]
-    row = {name: k for k, name in enumerate(name for part in mixed for name in part.network.points.ids)}
+    row = numbered(name for part in mixed for name in part.network.points.ids)
     undetermined = np.full((1, 3), np.nan)
     places = np.concatenate([*(part.places for part in mixed), undetermined])
     sigmas = np.concatenate([*(part.sigmas for part in mixed), undetermined])
@@ -342,7 +343,7 @@ def _neighbours(subjects: Sequence[str], bundles: Mapping[Members, Bundle]) -> t
     shared, linked, names = dict[str, int](), set[str](), set(subjects)
     for bundle in bundles.values():
         network = bundle.network
-        number = {image.name: j for j, image in enumerate(network.images)}
+        number = numbered(network.image_names)
         visible = np.zeros((len(number), len(network.points)), dtype=bool)
         visible[network.rays.image, network.rays.point] = True
         visible &= np.isfinite(bundle.places[:, 0])

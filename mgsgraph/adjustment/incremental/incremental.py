@@ -36,7 +36,7 @@ from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior
 from mgsgraph.geometry.records import Array
-from mgsgraph.names import number_of
+from mgsgraph.names import number_of, numbered
 from mgsgraph.network import Network
 from mgsgraph.network.corrections import whole_correction
 from mgsgraph.network.joining import Definitions, definitions, with_definitions
@@ -154,7 +154,7 @@ class IncrementalAdjustment(Record):
         covariances = np.concatenate([np.zeros((0, 3, 3)), *(bundle.covariances for bundle in fresh)])
         if ids is None:
             return names, places, covariances
-        where = {name: k for k, name in enumerate(names)}
+        where = numbered(names)
         for name in ids:
             require(name in where, f"point {name}", "no such point", "one of the adjustment's")
         chosen = [where[name] for name in ids]
@@ -303,7 +303,7 @@ class IncrementalAdjustment(Record):
                 if image.image.name not in present or not _same_image(image, self.store.image(image.image.name)):
                     self.store.add_image(image)
             self.store.replace(self.store.members(), bundles)
-            for name in present - {image.name for image in network.images}:
+            for name in present - set(network.image_names):
                 self.store.drop_image(name)
             self.store.set_definitions(engine.known)
             self.store.drop_shared(set(self.store.shared()) - set(engine.shared))
@@ -321,7 +321,7 @@ class IncrementalAdjustment(Record):
 
     def _known(self, image: str | int) -> KnownImage:
         names = self.images
-        return self.store.image(names[number_of(image, {name: j for j, name in enumerate(names)}, "image")])
+        return self.store.image(names[number_of(image, numbered(names), "image")])
 
     def _new_images(
         self, images: PushbroomImage | KnownImage | Sequence[KnownImage], prior: OrientationPrior | None

@@ -166,7 +166,7 @@ def adjusted_names(
         names = image_names(chosen, available) or list(available)
     if len(names) < 2:
         raise InputError(where, f"one image for a terrain model ({names[0]})", "two different ones, at least")
-    adjusted = [image.name for image in posterior.network.images]
+    adjusted = posterior.network.image_names
     if missing := [name for name in names if name not in adjusted]:
         both = sum(name in adjusted for name in available) > 1
         raise InputError(

@@ -61,7 +61,7 @@ def residual_matrix(solution: Solution, point_class: PointClass) -> Array | None
 @plain_style()
 def residual_sheets(solution: Solution) -> list[Sheet]:
     """Medians of the residuals of all images along their lines, and the rms and largest residual of each image."""
-    names, row = [image.name for image in solution.network.images], image_rows(len(solution.network.images))
+    names, row = solution.network.image_names, image_rows(len(solution.network.images))
     matrices = [(point_class, matrix) for point_class in _SHOWN
                 if (matrix := residual_matrix(solution, point_class)) is not None]
     spreads, largest = _spreads(solution, row)
