@@ -264,9 +264,9 @@ class PointRows:
         """The points as functions of the shared unknowns x and of noise e (3,) of their own, of unit covariance:
         point = K x + N e with K (m, 3, c) = -V^-1 W' and N (m, 3, 3) = L^-T, V = B'B = L L', W' = B'J.
         """
-        turned = np.swapaxes(self.by_point, 1, 2)
+        turned = self.by_point.mT
         normal = turned @ self.by_point
-        noise = np.swapaxes(np.linalg.solve(np.linalg.cholesky(normal), np.eye(3)), 1, 2)
+        noise = np.linalg.solve(np.linalg.cholesky(normal), np.eye(3)).mT
         return np.asarray(-np.linalg.solve(normal, turned @ self.by_shared)), np.asarray(noise)
 
 

@@ -359,10 +359,10 @@ def _profiles(solution: Solution, images: Sequence[int], places: int) -> Orienta
     correction, covariance = _corrections(solution, designs, places)
     after = corrected(before, correction, np.zeros_like(correction), angles)
     turn = correction_axes(before, correction, angles)
-    about_camera = turn @ covariance[:, 3:, 3:] @ np.swapaxes(turn, 1, 2)
+    about_camera = turn @ covariance[:, 3:, 3:] @ turn.mT
     angles_after = rotation.omega_phi_kappa(after.matrix)
     to_angles = np.linalg.solve(rotation.angle_axes(angles_after, camera_to_body=True), turn)
-    of_angles = to_angles @ covariance[:, 3:, 3:] @ np.swapaxes(to_angles, 1, 2)
+    of_angles = to_angles @ covariance[:, 3:, 3:] @ to_angles.mT
     return OrientationProfile(
         lines=np.concatenate(lines),
         times=np.concatenate([at.times + at.epoch for at in moments]),
@@ -372,7 +372,7 @@ def _profiles(solution: Solution, images: Sequence[int], places: int) -> Orienta
         angles_before=rotation.omega_phi_kappa(before.matrix),
         angles_after=angles_after,
         angles_sigma=_root(of_angles),
-        rotation=-rotation.logarithm(after.matrix @ np.swapaxes(before.matrix, 1, 2)),
+        rotation=-rotation.logarithm(after.matrix @ before.matrix.mT),
         rotation_sigma=_root(about_camera),
     )
 
@@ -389,7 +389,7 @@ def _corrections(solution: Solution, images: Sequence[Sequence[Design]], places:
         joint = flat[start : start + width * width].reshape(width, width)
         start += width * width
         correction[at] = matrix @ np.concatenate([values[v] for v in run.variables])
-        covariance[at] = matrix @ joint @ np.swapaxes(matrix, 1, 2)
+        covariance[at] = matrix @ joint @ matrix.mT
     return correction, covariance
 
 

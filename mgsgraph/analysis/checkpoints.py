@@ -139,7 +139,7 @@ def leave_out(at: Linearised) -> Discrepancies:
     whitening = np.linalg.inv(root)
 
     def whitened(matrices: Array) -> Array:
-        return np.asarray(whitening @ matrices @ np.swapaxes(whitening, 1, 2))
+        return np.asarray(whitening @ matrices @ whitening.mT)
 
     of_estimator = whitened(estimator.point_covariances()[points])
     spread = np.eye(3) + whitened(at.point_covariances()[points]) - 2.0 * of_estimator
@@ -150,7 +150,7 @@ def leave_out(at: Linearised) -> Discrepancies:
     misfit = np.einsum("nij,nj->ni", whitening, misfit)
     influence = root[left] @ np.linalg.inv(redundancy[left])
     values = np.einsum("nij,nj->ni", influence, misfit[left])
-    covariances = influence @ spread[left] @ np.swapaxes(influence, 1, 2)
+    covariances = influence @ spread[left] @ influence.mT
     some = thinned(chosen.size, _MOST_JOINT)
     difference = _joint(at, chosen[some]) - 2.0 * _joint(estimator, chosen[some])
     turn = _block_diagonal(whitening[left[some]])
@@ -169,7 +169,7 @@ def _local(
 ) -> Discrepancies:
     """The record of body-fixed values (n, 3) in m with covariances (n, 3, 3), and of the test of all."""
     frames = east_north_up(network.points.places[points])
-    turned = frames @ covariances @ np.swapaxes(frames, 1, 2)
+    turned = frames @ covariances @ frames.mT
     return Discrepancies(points, np.einsum("nij,nj->ni", frames, values), turned, *test, others)
 
 

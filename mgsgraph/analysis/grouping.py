@@ -295,7 +295,7 @@ class _Sums:
         for g in numbers:
             members = groups == g
             through_group, rest_group = through[:, members], rest[:, members]
-            turned = np.swapaxes(through_group, 1, 2)
+            turned = through_group.mT
             inner[g], outer[g] = (turned @ through_group).reshape(-1), _stacked(turned @ rest_group)
             flat = _stacked(rest_group)
             normal = flat.T @ flat

@@ -348,7 +348,7 @@ class View:
             covariances = np.full((len(points), 3, 3), np.nan)
             spread = self._spread(points[met], pixels[met])
             moved = rise[met] * doubt[met, None]
-            covariances[met] = slopes[met] @ spread @ np.swapaxes(slopes[met], 1, 2)
+            covariances[met] = slopes[met] @ spread @ slopes[met].mT
             covariances[met] += moved[:, :, None] * moved[:, None]
         return Places(pixels, points, tuple(states), covariances)
 

@@ -288,7 +288,7 @@ class Posterior(Record):
         pose = correction.apply(nominal, moments)
         turn = np.tile(np.eye(6), (lines.size, 1, 1))
         turn[:, 3:, 3:] = correction.axes(nominal, moments)
-        turned = -rotation.logarithm(pose.matrix @ np.swapaxes(nominal.matrix, 1, 2))
+        turned = -rotation.logarithm(pose.matrix @ nominal.matrix.mT)
         first, quantities = self.linearised.layout.variables.first, []
         follows = designs(self.network, image, correction.angles, lines)
         for k, (line, partials) in enumerate(zip(lines, follows, strict=True)):

@@ -275,7 +275,7 @@ class SeriesSpectrum:
         normal[:, 0, 0], normal[:, 1, 1] = 0.5 * (squares.sum() + double[:, 0]), 0.5 * (squares.sum() - double[:, 0])
         normal[:, 0, 1] = normal[:, 1, 0] = 0.5 * double[:, 1]
         beside = np.stack([self._transformed(self._root * column, self._numbers) for column in self._basis.T], axis=2)
-        return np.asarray(normal - beside @ np.swapaxes(beside, 1, 2))
+        return np.asarray(normal - beside @ beside.mT)
 
     def _floor(self, tests: Array) -> tuple[Array, float]:
         """(f,) running median of the tests over that of chi-square with two degrees of freedom, and its own freedom."""

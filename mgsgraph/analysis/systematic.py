@@ -233,7 +233,7 @@ def _of_motion(
     if crossing is not None:
         place = np.searchsorted(members, crossing.shots).clip(max=members.size - 1)
         inside = (members[place] == crossing.shots)[:, :, None, None]
-        moved = crossing.effect(network.points.places, np.swapaxes(np.where(inside, motion[place], 0.0), 2, 3))
+        moved = crossing.effect(network.points.places, np.where(inside, motion[place], 0.0).mT)
         last = rows.kind.size - moved.shape[0] + np.arange(moved.shape[0])
         shots, columns = np.append(shots, last), np.concatenate([columns, moved / crossing.sigmas[:, None]])
     return Family(where, shots, columns, tuple(effects))

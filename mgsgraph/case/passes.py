@@ -405,7 +405,7 @@ def _beside(position: PositionTable, camera: AttitudeTable, arm: Array) -> Posit
     times = times[(times >= position.times[0]) & (times <= position.times[-1])]
     places, velocities = position.at(times)
     matrix, rate = camera.at(np.clip(times, *camera.times[[0, -1]]))
-    to_table = np.swapaxes(matrix, 1, 2)
+    to_table = matrix.mT
     moving = to_table @ np.cross(rate, arm)[:, :, None]
     return PositionTable(times, places + to_table @ arm, velocities + moving[:, :, 0])
 

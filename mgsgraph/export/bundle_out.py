@@ -82,9 +82,9 @@ def orientation_polynomials(solution: Solution, image: str | int, degree: int) -
     trajectory = picture.trajectory
     outward = np.broadcast_to(np.eye(3), (PLACES, 3, 3))
     if isinstance(trajectory, Trajectory):
-        outward = np.swapaxes(trajectory.body.at(moments.times)[0], 1, 2)
+        outward = trajectory.body.at(moments.times)[0].mT
     position = [np.einsum("nij,nj->ni", outward, pose.position) for pose in (before, after)]
-    matrix = [pose.matrix @ np.swapaxes(outward, 1, 2) for pose in (before, after)]
+    matrix = [pose.matrix @ outward.mT for pose in (before, after)]
     angles = [rotation.angles_313(attitude) for attitude in matrix]
     values = np.hstack([position[0], np.unwrap(angles[0], axis=0)])
     moved = np.hstack([position[1] - position[0], in_turn(angles[1] - angles[0])])

@@ -213,7 +213,7 @@ def ellipse_layers(solution: Solution) -> list[Layer]:
     """Error ellipses of the adjusted points towards east and north, true and exaggerated."""
     points = np.flatnonzero(adjusted_points(solution))
     places, frame = solution.places[points], east_north_up(solution.places[points])
-    covariances = frame @ solution.covariances[points] @ np.swapaxes(frame, 1, 2)
+    covariances = frame @ solution.covariances[points] @ frame.mT
     semi_axes, axes = error_ellipses(covariances[:, :2, :2])  # minor first
     factor = exaggeration(semi_axes[:, 1], extent(solution.places))
     azimuth = np.arctan2(axes[:, 0, 1], axes[:, 1, 1]) / DEG % 180.0
@@ -223,7 +223,7 @@ def ellipse_layers(solution: Solution) -> list[Layer]:
         "azimuth_deg": azimuth,
         "sigma_up_m": np.sqrt(np.maximum(covariances[:, 2, 2], 0.0)),
     }
-    offsets = _rings(np.swapaxes(frame[:, :2], 1, 2) @ (axes * semi_axes[:, None, :]))
+    offsets = _rings(frame[:, :2].mT @ (axes * semi_axes[:, None, :]))
     about = (
         f"Ellipses in which the true places lie with {PROBABILITY:.0%} probability, for sigma0 = 1 (scaled: times "
         "sigma0); azimuth of the major axis from north over east."
@@ -239,7 +239,7 @@ def _rings(semi_axes: Array) -> Array:
     turn = np.linspace(0.0, 2.0 * np.pi, _CORNERS + 1)
     circle = np.stack([np.cos(turn), np.sin(turn)])
     circle[:, -1] = circle[:, 0]
-    return np.asarray(np.swapaxes(semi_axes @ circle, 1, 2))
+    return np.asarray((semi_axes @ circle).mT)
 
 
 def _point_names(solution: Solution, points: Index) -> dict[str, Any]:

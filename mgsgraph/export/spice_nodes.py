@@ -180,7 +180,7 @@ def _errors(
     _, between, true, _, turned, _ = _nodes(image, correction, between, body)
     place, _ = PositionTable(times, positions, velocities).at(between)
     matrix, _ = AttitudeTable(times, rotation.from_matrix(matrices), np.eye(3)).at(between)
-    angle = np.linalg.norm(rotation.logarithm(turned @ np.swapaxes(matrix, 1, 2)), axis=1)
+    angle = np.linalg.norm(rotation.logarithm(turned @ matrix.mT), axis=1)
     off = np.linalg.norm(place - true, axis=1) + distance * angle
     largest = np.zeros(times.size - 1)
     np.maximum.at(largest, np.clip(np.searchsorted(times, between, side="right") - 1, 0, times.size - 2), off)

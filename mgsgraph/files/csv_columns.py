@@ -365,7 +365,7 @@ def upper_triangles(columns: Sequence[str], values: Array, directions: Array) ->
     Its columns say `values` (m, 3) in m; `directions` (m, 3) point upward, along the radius or the normal.
     """
     axes = np.eye(3)[None] if tuple(columns) == AXES else east_north_up(directions)
-    full = (np.swapaxes(axes, 1, 2) * values[:, None, :] ** 2) @ axes
+    full = (axes.mT * values[:, None, :] ** 2) @ axes
     return np.asarray(full[:, *np.triu_indices(3)])
 
 

@@ -448,7 +448,7 @@ def _boxes_meet(outlines: Array, centres: Array, pairs: Index) -> Mask:
     first, second = _tangents(centres)
     flat = np.stack([np.einsum("mki,mi->mk", outlines, axis) for axis in (first, second)], axis=-1)
     spread = flat - flat.mean(axis=1, keepdims=True)
-    _, turned = np.linalg.eigh(np.swapaxes(spread, 1, 2) @ spread)
+    _, turned = np.linalg.eigh(spread.mT @ spread)
     axes = np.stack([first, second], axis=2) @ turned  # (m, 3, 2)
     own = outlines @ axes
     low, high = own.min(axis=1), own.max(axis=1)

@@ -369,7 +369,7 @@ def correction_axes(nominal: Pose, correction: Array, angles: Angles) -> Array:
 def _nominal_angles(nominal: Pose, angles: Angles) -> tuple[Callable[..., Any], tuple[Array, ...], tuple[Array, ...]]:
     """The equation of `factors.pose` that adds to angles, and nominal angles and rates as it takes them."""
     paper = angles == "opk-paper"
-    nominal_angles = rotation.omega_phi_kappa(nominal.matrix if paper else np.swapaxes(nominal.matrix, 1, 2))
+    nominal_angles = rotation.omega_phi_kappa(nominal.matrix if paper else nominal.matrix.mT)
     rates = np.linalg.solve(rotation.angle_axes(nominal_angles, paper), nominal.angular_rate[:, :, None])[:, :, 0]
     return opk_paper if paper else opk_peer, rotation.components(nominal_angles), tuple(rates.T)
 

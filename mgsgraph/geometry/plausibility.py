@@ -151,7 +151,7 @@ def turning(times: Array, quaternions: Array, rates: Array) -> tuple[Array, Arra
     if not paired or np.any(np.diff(times) <= 0.0) or not are_unit(quaternions):
         return np.zeros((0, 3)), np.zeros((0, 3))
     matrices = rotation.to_matrix(rotation.unit_vectors(quaternions))
-    turned = rotation.logarithm(np.swapaxes(matrices[1:], 1, 2) @ matrices[:-1]) / np.diff(times)[:, None]
+    turned = rotation.logarithm(matrices[1:].mT @ matrices[:-1]) / np.diff(times)[:, None]
     return turned, 0.5 * (rates[1:] + rates[:-1])
 
 

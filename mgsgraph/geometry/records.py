@@ -167,7 +167,7 @@ def require_covariances(covariances: Array, needed: Mask, ids: Sequence[str], so
         return
     matrices = covariances[chosen]
     scale = np.abs(matrices).max(axis=(1, 2), initial=0.0)
-    lopsided = np.abs(matrices - np.swapaxes(matrices, 1, 2)).max(axis=(1, 2), initial=0.0) > 1e-9 * scale
+    lopsided = np.abs(matrices - matrices.mT).max(axis=(1, 2), initial=0.0) > 1e-9 * scale
     flat = np.linalg.eigvalsh(matrices)[:, 0] <= 1e-14 * scale
     for k in np.flatnonzero(lopsided | flat)[:1]:
         raise InputError(

@@ -377,9 +377,9 @@ def _heights_above(
 
 def _level_slopes(points: Array, by_point: Array, other_by_point: Array) -> Array:
     """(n, 2, 2) derivative of the disparity by the position in the first image, of level ground at points (n, 3)."""
-    ways = np.swapaxes(east_north(points), 1, 2)
-    first, second = (np.swapaxes(part @ ways, 1, 2) for part in (by_point, other_by_point))
-    return np.swapaxes(np.linalg.solve(first, second), 1, 2)
+    ways = east_north(points).mT
+    first, second = ((part @ ways).mT for part in (by_point, other_by_point))
+    return np.linalg.solve(first, second).mT
 
 
 # --- as files hold them

@@ -129,7 +129,7 @@ def matches_of(
     tracks, begin, inverse = np.unique(measures.track, return_index=True, return_inverse=True)
     rank = place_of(order, tracks.size)
     back = np.linalg.inv(measures.affine)
-    shared = 0.5 * back @ measures.covariances @ np.swapaxes(back, 1, 2)
+    shared = 0.5 * back @ measures.covariances @ back.mT
     count = np.bincount(inverse, minlength=tracks.size)
     of_anchor = np.zeros((tracks.size, 2, 2))
     np.add.at(of_anchor, inverse, shared)

@@ -123,7 +123,7 @@ def _between(
     planes = links.plane[first], links.plane[other]
     begin, end = left.project(scene.ground.points(planes[0])), right.project(scene.ground.points(planes[1]))
     by_plane = left.derivatives(scene.ground, planes[0]), right.derivatives(scene.ground, planes[1])
-    affine = np.swapaxes(np.linalg.solve(np.swapaxes(by_plane[0], 1, 2), np.swapaxes(by_plane[1], 1, 2)), 1, 2)
+    affine = np.linalg.solve(by_plane[0].mT, by_plane[1].mT).mT
     anchors = sharpest_pixels(template.strength, np.floor(begin).astype(np.int64), halves[0]) + 0.5
     start = end + np.einsum("nij,nj->ni", affine, anchors - begin)
     parallax = right.height_parallax(scene.ground, start) - left.height_parallax(scene.ground, anchors)

@@ -88,7 +88,7 @@ class SharedEffects:
                 directions[:, columns, 6:] = np.swapaxes(self.of_interior(image, k, samples)[0], 0, 1)
             column += kind.width
         if common is not None and more:
-            directions[:, column:, 6:8] = np.swapaxes(common, 1, 2)
+            directions[:, column:, 6:8] = common.mT
         return directions
 
     def _waves(self, image: int, shared: int, u: Array) -> tuple[Array, Array]:
@@ -257,7 +257,7 @@ def crossover_rows(network: Network) -> Iterator[LinearRows]:
     if crossing is None or shifts is None:
         return
     effects, shots = dict[int, Array](), crossing.shots
-    ways = east_north(places[shots.ravel()]).reshape(*shots.shape, 2, 3).swapaxes(2, 3)
+    ways = east_north(places[shots.ravel()]).reshape(*shots.shape, 2, 3).mT
     for p in np.unique(shifts.profile[shots]).tolist():
         of_profile = (shifts.profile[shots] == p)[:, :, None, None]
         effects[len(network.images) + p] = crossing.effect(places, np.where(of_profile, ways, 0.0))
@@ -265,7 +265,7 @@ def crossover_rows(network: Network) -> Iterator[LinearRows]:
         if shared.kind.moves_footprints:
             points, motion = footprint_motion(network, shared)
             index = np.searchsorted(points, shots).clip(max=points.size - 1)
-            moved = np.where((points[index] == shots)[:, :, None, None], motion[index].swapaxes(2, 3), 0.0)
+            moved = np.where((points[index] == shots)[:, :, None, None], motion[index].mT, 0.0)
             effects[network.first_shared + k] = crossing.effect(places, moved)
     differences = crossing.differences(places)
     for row, sigma in enumerate(crossing.sigmas.tolist()):

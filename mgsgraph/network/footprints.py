@@ -415,7 +415,7 @@ def _plane_heights(image: PushbroomImage, ties: Array, heights: Array, places: A
     rows = np.arange(places.shape[0])[:, None]
     design = np.stack([np.ones_like(distance[rows, near]), down[rows, near], across[rows, near]], axis=2)
     design[:, :, 1:] *= size / 1e3  # km, so that the columns are of one size
-    normal = np.swapaxes(design, 1, 2) @ design
+    normal = design.mT @ design
     normal += 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(3)  # ties in one line make no plane
     inverse = np.linalg.inv(normal)
     planes = np.einsum("nij,nkj,nk->ni", inverse, design, heights[near])

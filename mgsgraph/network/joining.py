@@ -212,7 +212,7 @@ def _mounted(first_image: PushbroomImage, second_image: PushbroomImage, times: A
             where, f"{pair}, whose cameras at one time are {distance:.0f} m apart",
             "images of one spacecraft", "make them two passes",
         )  # fmt: skip
-    turns = second.matrix @ np.swapaxes(first.matrix, 1, 2)
+    turns = second.matrix @ first.matrix.mT
     middle = turns[times.size // 2]
     changes = max(_angle(turn @ middle.T) for turn in turns)
     if changes > _LOOSE and _angle(middle) > _TURNED:
@@ -297,7 +297,7 @@ def _same_plane(first: PushbroomImage, second: PushbroomImage) -> bool:
 
 def mounting_angles(axes: Array) -> Array:
     """(m, 3) rad: rotation vectors, about x, y, z, by which each camera is turned against the axes of its pass."""
-    return rotation.logarithm(np.swapaxes(axes, 1, 2))
+    return rotation.logarithm(axes.mT)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

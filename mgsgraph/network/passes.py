@@ -388,7 +388,7 @@ class Pass(Record):
         if self.axes is not None:
             where = f"pass {self.name!r}, axes"
             axes = frozen(self.axes, where, (images.size, 3, 3))
-            off = np.abs(axes @ np.swapaxes(axes, 1, 2) - np.eye(3)).max()
+            off = np.abs(axes @ axes.mT - np.eye(3)).max()
             if off > _NO_ROTATION or np.linalg.det(axes).min() < 0.0:
                 raise InputError(where, f"matrices that are no rotations (off by {off:.2g})", "orthonormal rows")
             assign(self, axes=axes)

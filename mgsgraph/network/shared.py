@@ -296,7 +296,7 @@ def _spin(image: PushbroomImage) -> Array:
 def _added_angles(pose: Pose, angles: Angles, turned: Array) -> Array:
     """(n, 3) rad added to omega, phi, kappa by small rotations (n, 3) about the camera axes."""
     paper = angles == "opk-paper"
-    nominal = rotation.omega_phi_kappa(pose.matrix if paper else np.swapaxes(pose.matrix, 1, 2))
+    nominal = rotation.omega_phi_kappa(pose.matrix if paper else pose.matrix.mT)
     return np.asarray(np.linalg.solve(rotation.angle_axes(nominal, paper), turned[:, :, None])[:, :, 0])
 
 

@@ -145,7 +145,7 @@ def orientation_difference(solution: Solution, j: int, earlier: Solution, i: int
     """
     lines = np.linspace(0.0, float(solution.network.images[j].lines), PLACES)
     poses = [fit.network.images[k].pose(lines, fit.correction(k)) for fit, k in ((solution, j), (earlier, i))]
-    rotations = -rotation.logarithm(poses[0].matrix @ np.swapaxes(poses[1].matrix, 1, 2))
+    rotations = -rotation.logarithm(poses[0].matrix @ poses[1].matrix.mT)
     profiles = [orientation_profile(fit, k, PLACES) for fit, k in ((solution, j), (earlier, i))]
     sigmas = [np.concatenate([profile.position_sigma, profile.rotation_sigma], axis=1) for profile in profiles]
     differences = np.concatenate([poses[0].position - poses[1].position, rotations], axis=1)

@@ -363,7 +363,7 @@ class SitePass:
         """Matrices (n, 3, 3) inertial to camera frame at times (n,) in s past the epoch."""
         if self.held:
             return np.broadcast_to(self.axes, (times.size, 3, 3))
-        first = np.swapaxes(orbit_axes(*self.orbit.state(np.zeros(1))), 1, 2)
+        first = orbit_axes(*self.orbit.state(np.zeros(1))).mT
         return self.axes @ first @ orbit_axes(*self.orbit.state(times))
 
 

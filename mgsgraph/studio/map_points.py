@@ -66,7 +66,7 @@ class MapPoints:
         if self.block.covariances is None:
             return np.full((count, 3, 3), np.nan)
         frames = self.every_frame
-        return np.asarray(frames @ self.block.covariances @ np.swapaxes(frames, 1, 2))
+        return np.asarray(frames @ self.block.covariances @ frames.mT)
 
     def frames(self, chosen: Index | slice = slice(None)) -> Array:
         """(n, 3, 3) rows east, north and up at the points, or at some (m,) of them."""

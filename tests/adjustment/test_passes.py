@@ -204,11 +204,11 @@ def test_profiles_of_images_together_are_each_by_itself(
         np.testing.assert_array_equal(found.position_before[at], picture.pose(lines).position)
         np.testing.assert_allclose(found.position_after[at], picture.pose(lines, correction).position, rtol=1e-14)
         basis = np.kron(correction.basis(picture.moments(lines)), np.eye(6)).reshape(PLACES, 6, -1)
-        covariance = basis @ solution.correction_covariance(image) @ np.swapaxes(basis, 1, 2)
+        covariance = basis @ solution.correction_covariance(image) @ basis.mT
         sigmas = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)[:, :3])
         np.testing.assert_allclose(found.position_sigma[at], sigmas, rtol=1e-9, atol=1e-12)
         axes = correction.axes(picture.pose(lines), picture.moments(lines))
-        turned = axes @ covariance[:, 3:, 3:] @ np.swapaxes(axes, 1, 2)
+        turned = axes @ covariance[:, 3:, 3:] @ axes.mT
         sigmas = np.sqrt(np.diagonal(turned, axis1=1, axis2=2))
         np.testing.assert_allclose(found.rotation_sigma[at], sigmas, rtol=1e-9, atol=1e-15)
         one = posterior.pose(picture.name, float(lines[2])).covariance

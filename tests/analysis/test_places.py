@@ -114,7 +114,7 @@ def test_sigmas_by_numeric_derivatives(solution: Solution, on_relief: bool) -> N
         ground_slopes.append((sides[0][1] - sides[1][1]) / (2.0 * step[k]))
     for slopes, found in ((image_slopes, into.covariances), (ground_slopes, ground.covariances)):
         design = np.stack(slopes, axis=2)
-        wanted = design @ covariance @ np.swapaxes(design, 1, 2)
+        wanted = design @ covariance @ design.mT
         assert found is not None
         np.testing.assert_allclose(found, wanted, rtol=2e-3, atol=2e-3 * np.abs(wanted).max())
 

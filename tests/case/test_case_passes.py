@@ -307,7 +307,7 @@ def test_what_is_stated_is_what_the_unknowns_of_the_same_values_do() -> None:
         "c,cpk,np->nk", np.array(angles) * MRAD, image_effect(image, SharedKind.CAMERA_BORESIGHT, "camera"), u
     )
     np.testing.assert_allclose(places - nominal.position, by_arm[:, :3], atol=1e-3)
-    turns = rotation.logarithm(nominal.matrix @ np.swapaxes(matrices, 1, 2))
+    turns = rotation.logarithm(nominal.matrix @ matrices.mT)
     np.testing.assert_allclose(turns, by_turn[:, 3:], atol=1e-9)
 
 

@@ -141,7 +141,7 @@ def off(path: Path, solution: Any) -> float:
     place = 1e3 * CubicHermiteSpline(position[:, -1], position[:, :3], position[:, 3:6])(times)
     to_body = constant_of(path, "BodyRotation") @ turned(body, times)
     to_camera = constant_of(path, "InstrumentPointing") @ turned(pointing, times)
-    seen = to_camera @ (np.swapaxes(to_body, 1, 2) @ ground[:, :, None] - place[:, :, None])
+    seen = to_camera @ (to_body.mT @ ground[:, :, None] - place[:, :, None])
     want = pose.matrix @ (ground - pose.position)[:, :, None]
     apart = unit_vectors(seen[..., 0]) - unit_vectors(want[..., 0])
     return float(np.linalg.norm(apart, axis=1).max() / image.pixel_angle)

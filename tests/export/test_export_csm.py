@@ -247,7 +247,7 @@ def test_angular_velocities_are_those_of_the_attitudes_about_inertial_axes(expor
     isd = json.loads(next(support_data_in(export.folder)).read_text())
     for table in (isd["body_rotation"], isd["instrument_pointing"]):
         matrices, times = rotation.to_matrix(np.array(table["quaternions"])), np.array(table["ephemeris_times"])
-        turned = rotation.logarithm(np.swapaxes(matrices[:-1], 1, 2) @ matrices[1:]) / np.diff(times)[:, None]
+        turned = rotation.logarithm(matrices[:-1].mT @ matrices[1:]) / np.diff(times)[:, None]
         stated = np.array(table["angular_velocities"])
         assert -turned == pytest.approx(0.5 * (stated[1:] + stated[:-1]), rel=1e-3, abs=1e-8)
 

@@ -290,7 +290,7 @@ def attitude_of_before(nodes: AdjustedNodes, image: PushbroomImage, correction: 
 
 FAULTS: dict[str, Callable[[AdjustedNodes, PushbroomImage, OrientationCorrection], AdjustedNodes]] = {
     "time bias twice": attitude_of_before,
-    "quaternion convention": lambda nodes, *_: replace(nodes, matrices=np.swapaxes(nodes.matrices, 1, 2)),
+    "quaternion convention": lambda nodes, *_: replace(nodes, matrices=nodes.matrices.mT),
     "velocities reversed": lambda nodes, *_: replace(nodes, velocities=-nodes.velocities),
 }
 

@@ -170,7 +170,7 @@ def test_camera_corrections_turn_the_camera(c: np.ndarray) -> None:
     correction = np.array([c[0] + c[1] * u + c[2] * u * u for u in U])
 
     np.testing.assert_allclose(pose.position, NOMINAL.position + correction[:, :3], atol=2e-9)
-    found = -rotation.logarithm(pose.matrix @ np.swapaxes(NOMINAL.matrix, 1, 2))
+    found = -rotation.logarithm(pose.matrix @ NOMINAL.matrix.mT)
     np.testing.assert_allclose(found, correction[:, 3:], atol=1e-14)
 
 
@@ -178,13 +178,13 @@ def test_camera_corrections_turn_the_camera(c: np.ndarray) -> None:
 @given(c=coefficients)
 def test_angle_corrections_add_to_the_angles(angles: Angles, c: np.ndarray) -> None:
     def angles_of(matrix: np.ndarray) -> np.ndarray:
-        return rotation.omega_phi_kappa(matrix if angles == "opk-paper" else np.swapaxes(matrix, 1, 2))
+        return rotation.omega_phi_kappa(matrix if angles == "opk-paper" else matrix.mT)
 
     pose = OrientationCorrection(c, angles).apply(NOMINAL, MOMENTS)
     correction = np.array([c[0] + c[1] * u + c[2] * u * u for u in U])
     want = rotation.from_omega_phi_kappa(angles_of(NOMINAL.matrix) + correction[:, 3:])
 
-    np.testing.assert_allclose(pose.matrix, want if angles == "opk-paper" else np.swapaxes(want, 1, 2), atol=1e-14)
+    np.testing.assert_allclose(pose.matrix, want if angles == "opk-paper" else want.mT, atol=1e-14)
     np.testing.assert_allclose(pose.position, NOMINAL.position + correction[:, :3], atol=2e-9)
 
 
@@ -217,7 +217,7 @@ def test_axes_against_differences(angles: Angles, c: np.ndarray) -> None:
             moved = c.copy()
             moved[0, component] += step
             matrix = OrientationCorrection(moved, angles).apply(NOMINAL, MOMENTS).matrix
-            return -rotation.logarithm(matrix @ np.swapaxes(now.matrix, 1, 2))
+            return -rotation.logarithm(matrix @ now.matrix.mT)
 
         np.testing.assert_allclose(axes[:, :, k], along(turn, 1e-3), atol=1e-9)
 

@@ -188,7 +188,7 @@ def mars_rotation(times: np.ndarray) -> np.ndarray:
 
 def turned(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """rad, (n,), between two stacks of matrices."""
-    return np.asarray(np.linalg.norm(rotation.logarithm(first @ np.swapaxes(second, 1, 2)), axis=-1))
+    return np.asarray(np.linalg.norm(rotation.logarithm(first @ second.mT), axis=-1))
 
 
 @pytest.mark.parametrize("step", [0.1, 1.0])
@@ -299,7 +299,7 @@ def misfit(image: PushbroomImage, exchanged: PushbroomImage, count: int = 301) -
     """Largest differences over lines of an image: of positions in m, of attitudes in rad, and in pixels."""
     lines = np.linspace(0.0, image.lines, count)
     before, after = image.pose(lines), exchanged.pose(lines)
-    turn = rotation.logarithm(after.matrix @ np.swapaxes(before.matrix, 1, 2))
+    turn = rotation.logarithm(after.matrix @ before.matrix.mT)
     samples = np.full(count, 0.5 * image.samples)
     seen, _ = exchanged.ground_to_image(image.image_to_ground(lines, samples)[0], start=lines)
     moved = np.nan_to_num(seen - np.column_stack([lines, samples]))

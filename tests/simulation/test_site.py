@@ -74,7 +74,7 @@ def test_kernels_and_labels_give_the_nominal_images(written: Written) -> None:
         lines = np.linspace(0.0, found.lines, 31)
         ours, theirs = nominal.pose(lines), found.pose(lines)
         assert np.abs(ours.position - theirs.position).max() < 1e-3
-        turns = rotation.logarithm(ours.matrix @ np.swapaxes(theirs.matrix, 1, 2))
+        turns = rotation.logarithm(ours.matrix @ theirs.matrix.mT)
         assert np.abs(turns).max() < 0.01 * ARCSEC
         places = np.linspace(0.0, found.samples, 31)
         (_, mine, *_), (_, read, *_) = (one.rays(lines, places) for one in (nominal, found))

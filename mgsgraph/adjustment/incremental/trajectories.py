@@ -124,7 +124,7 @@ def _turned(first_image: PushbroomImage, second_image: PushbroomImage) -> float:
     times = np.clip(0.5 * (max(first, start) + min(last, stop)), [first, start], [last, stop])
     images = enumerate((first_image, second_image))
     poses = [image.trajectory.pose(times[k : k + 1] - image.trajectory.epoch) for k, image in images]
-    return float(np.linalg.norm(rotation.logarithm(poses[1].matrix @ np.swapaxes(poses[0].matrix, 1, 2))[0]))
+    return float(np.linalg.norm(rotation.logarithm(poses[1].matrix @ poses[0].matrix.mT)[0]))
 
 
 def turned_bundles(store: StateStore, before: Definitions, after: Definitions) -> list[Members]:

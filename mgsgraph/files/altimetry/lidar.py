@@ -219,7 +219,7 @@ def lidar_coordinates(positions: Array, covariances: Array) -> tuple[Array, list
     stated = np.isfinite(covariances).all(axis=(1, 2)) & np.isfinite(spherical).all(axis=1)
     stated = np.asarray(stated & covariances.any(axis=(1, 2)))
     half = np.linalg.solve(jacobian[stated], covariances[stated])
-    matrix = np.linalg.solve(jacobian[stated], np.swapaxes(half, 1, 2))
+    matrix = np.linalg.solve(jacobian[stated], half.mT)
     triangles = iter(matrix[:, *np.triu_indices(3)].tolist())
     matrices = [next(triangles) if is_stated else None for is_stated in stated]
     return np.column_stack([spherical[:, 1] / DEG, spherical[:, 0] / DEG % 360.0, spherical[:, 2] / KM]), matrices

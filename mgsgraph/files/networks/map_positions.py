@@ -101,9 +101,9 @@ class ControlMap:
         points, heights = self._on_terrain(projection, pixels)
         frames = east_north_up(np.nan_to_num(points, nan=1.0))
         level = frames[:, :2]
-        plane = np.swapaxes(level, 1, 2) @ level  # sides of pixels lie in that of the ellipsoid, slopes are of radii
+        plane = level.mT @ level  # sides of pixels lie in that of the ellipsoid, slopes are of radii
         sides = np.stack([_at(projection, pixels + step, heights) - points for step in np.eye(2)], axis=1) @ plane
-        horizontal = self.pixel_sigma**2 * np.swapaxes(sides, 1, 2) @ sides + self.own_sigma**2 * plane
+        horizontal = self.pixel_sigma**2 * sides.mT @ sides + self.own_sigma**2 * plane
         reach = np.sqrt(0.5 * np.trace(horizontal, axis1=1, axis2=2))[:, None]
         slopes = [(self.radii(points + reach * way) - self.radii(points - reach * way)) / (2.0 * reach[:, 0])
                   for way in (level[:, 0], level[:, 1])]  # fmt: skip
@@ -111,7 +111,7 @@ class ControlMap:
                  "a position over its posts, one sigma around too")  # fmt: skip
         up, gradient = frames[:, 2], np.einsum("wn,nwj->nj", slopes, level)
         lifted = np.eye(3) + up[:, :, None] * gradient[:, None]
-        covariances = lifted @ horizontal @ np.swapaxes(lifted, 1, 2)
+        covariances = lifted @ horizontal @ lifted.mT
         return points, covariances + self.height_sigma**2 * up[:, :, None] * up[:, None]
 
     def _on_terrain(self, projection: MapProjection, pixels: Array) -> tuple[Array, Array]:

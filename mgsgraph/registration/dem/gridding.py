@@ -420,7 +420,7 @@ def _by_cell(points: DensePoints, grid: MapGrid) -> tuple[NDArray[np.int64], Arr
     positions = points.positions[order]
     frame = grid.frames(positions) / np.array([grid.post, grid.post, 1.0])[:, None]
     spread = np.einsum("nij,nj->ni", frame, points.matching[order])
-    orientation = frame @ points.orientation[order] @ np.swapaxes(frame, 1, 2)
+    orientation = frame @ points.orientation[order] @ frame.mT
     heights = np.linalg.norm(positions, axis=1) - grid.radius
     return first, np.column_stack([pixels[order], heights]), spread, orientation, points.pair[order]
 

@@ -121,7 +121,7 @@ def ortho_accuracy(posterior: Posterior, scene: Scene, matched: "DenseMatches", 
         moved = along * (model.matching.ravel()[part] / np.einsum("ni,ni->n", along, normal))[:, None]
         level = east_north_up(points)[:, :2]
         spread = nodes.at(np.nan_to_num(pixels)) + moved[:, :, None] * moved[:, None]
-        covariances = level @ spread @ np.swapaxes(level, 1, 2)
+        covariances = level @ spread @ level.mT
         bands[:2, part] = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2)).T
         bands[2, part] = covariances[:, 0, 1] / bands[:2, part].prod(axis=0)
     return bands.reshape(3, grid.rows, grid.columns)

@@ -113,7 +113,7 @@ def block_window(solution: Solution, connected: Connectivity | None = None) -> M
     moved = np.einsum("nij,nj->ni", axes[:, :2], (solution.places - solution.places_before)[rows])
     horizontal = None
     if len(rows) <= MOST_MARKS:
-        horizontal = axes[:, :2] @ covariances @ np.swapaxes(axes[:, :2], 1, 2)
+        horizontal = axes[:, :2] @ covariances @ axes[:, :2].mT
     corners = np.concatenate([places, *outlines.values()])
     about = (solution.name, centre, corners, outlines)
     return points_window(about, places, sigmas, ("3-D sigma", "m"), classes[rows], horizontal, moved)

@@ -205,4 +205,4 @@ def _orientation(demo: Demonstration, j: int) -> dict[str, Any]:
 
 def _turn(pose: Pose, true: Pose) -> Array:
     """(n, 3) rad about the camera's axes, by which the camera is turned from its true attitude."""
-    return -rotation.logarithm(pose.matrix @ np.swapaxes(true.matrix, 1, 2))
+    return -rotation.logarithm(pose.matrix @ true.matrix.mT)
