@@ -17,7 +17,7 @@ from mgsgraph.adjustment.graph import Layout
 from mgsgraph.errors import WeakNetwork
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.orientation import Moments, OrientationCorrection, polynomial
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, finite_rows
 from mgsgraph.geometry.rotation import skew
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.kernel.sweep import Reduction
@@ -381,7 +381,7 @@ def _shifted_place(layout: Layout, shift: int, middle: Array) -> Array:
         terrain = None if network.surface is None else network.surface.middle
         return middle if terrain is None else terrain
     places = network.points.places[np.flatnonzero(network.shifts.profile == shift)[:_ROWS]]
-    places = places[np.all(np.isfinite(places), axis=1)]
+    places = places[finite_rows(places)]
     return np.asarray(places.mean(axis=0)) if places.size else middle
 
 

@@ -43,7 +43,7 @@ from mgsgraph.geometry.camera import Detector
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.orientation import SUPPORT, OrientationImages
-from mgsgraph.geometry.records import Array, Mask
+from mgsgraph.geometry.records import Array, Mask, finite_rows
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.network import HELD, Network
 from mgsgraph.network.effects import SharedEffects, common_lifts, common_looks, crossover_rows, known_motions
@@ -225,10 +225,10 @@ def nominal_selection(network: Network) -> Selected:
         in_image = rays.image == j
         origins[in_image], looks[in_image] = image.sightlines(*rays.places[in_image].T)
     crossing, _, angles = intersect_rays(origins, looks, rays.point, n)
-    given = np.all(np.isfinite(network.points.places), axis=1) & (network.points.kinds != PointKind.FREE)
+    given = finite_rows(network.points.places) & (network.points.kinds != PointKind.FREE)
     places = np.where(given[:, None], network.points.places, crossing)
     used = ~(network.undetermined | parallel(network, np.nan_to_num(angles)))
-    for i in np.flatnonzero(used & ~np.all(np.isfinite(places), axis=1)).tolist():
+    for i in np.flatnonzero(used & ~finite_rows(places)).tolist():
         k = int(np.flatnonzero(rays.point == i)[0])
         places[i] = network.images[rays.image[k]].image_to_ground(*rays.places[[k]].T)[0][0]
     values = [np.zeros(width) for width in network.widths]

@@ -16,7 +16,7 @@ from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import in_turn
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection, corrected, correction_axes
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.records import Array, Index, Mask, sigmas_of
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.kernel.rows import Small
 from mgsgraph.network import Network, PointClass
@@ -154,7 +154,7 @@ class Solution(Record):
     @property
     def sigmas(self) -> Array:
         """(n, 3) m, standard deviations of the points in x, y, z, for sigma0 = 1."""
-        return np.sqrt(np.diagonal(self.covariances, axis1=1, axis2=2))
+        return sigmas_of(self.covariances)
 
     @property
     def iterations(self) -> int:

@@ -26,7 +26,7 @@ from mgsgraph.analysis.linearised import at_points, require_covariance
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.body import east_north_up
-from mgsgraph.geometry.records import Array, Index, thinned
+from mgsgraph.geometry.records import Array, Index, sigmas_of, thinned
 from mgsgraph.network import Network, PointClass
 from mgsgraph.record import Record
 
@@ -67,7 +67,7 @@ class Discrepancies(Record):
     @property
     def sigmas(self) -> Array:
         """(n, 3) m, east, north, up."""
-        return np.asarray(np.sqrt(np.diagonal(self.covariances, axis1=1, axis2=2)))
+        return np.asarray(sigmas_of(self.covariances))
 
     @property
     def normalized(self) -> Array:
@@ -121,7 +121,7 @@ def _at_checkpoints(solution: Solution) -> Discrepancies:
     some = thinned(chosen.size, _MOST_JOINT)
     joint = _joint(at_points(solution, chosen[some]), np.arange(some.size))
     joint += _block_diagonal(known.covariances[chosen[some]])
-    scale, values = np.sqrt(np.diagonal(joint)), solution.places[chosen] - known.places[chosen]
+    scale, values = sigmas_of(joint), solution.places[chosen] - known.places[chosen]
     test = _chi_square(values[some].ravel() / scale, joint / scale / scale[:, None], _ROUNDING)
     covariances = solution.covariances[chosen] + known.covariances[chosen]
     return _local(solution.network, chosen, values, covariances, (*test, some.size), others)

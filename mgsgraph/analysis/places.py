@@ -24,7 +24,7 @@ from mgsgraph.geometry.body import (
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.intersection import meet_terrain
 from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.records import Array, Index, Mask, finite_rows
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network import ImageRays
 from mgsgraph.network.corrections import designs
@@ -280,9 +280,9 @@ class View:
     def seen(self, points: Array, terrain: TerrainGrid | None = None) -> Places:
         """Where ground points (n, 3) in m are in the image; on a terrain model, relief may hide them."""
         pixels, _ = self.image.ground_to_image(points, self.correction)
-        projected = np.all(np.isfinite(pixels), axis=1)
+        projected = finite_rows(pixels)
         states = np.full(len(points), State.NO_GROUND, dtype=object)
-        states[np.all(np.isfinite(points), axis=1)] = State.FAR_OUTSIDE
+        states[finite_rows(points)] = State.FAR_OUTSIDE
         states[projected] = State.OUTSIDE
         states[self._inside(pixels)] = State.SEEN
         where = np.flatnonzero(projected)
@@ -341,7 +341,7 @@ class View:
             normals = _terrain_normals(points[near], terrain)
             doubt[near] = self._terrain_sigmas(points[near], normals, terrain)
         rise[near] = directions / np.einsum("ni,ni->n", normals, directions)[:, None]  # m along the ray per m of height
-        met = np.all(np.isfinite(points), axis=1)
+        met = finite_rows(points)
         states[near & ~met] = State.NO_GROUND
         covariances = None
         if self.solution is not None:

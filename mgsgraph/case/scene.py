@@ -17,7 +17,7 @@ from mgsgraph.files.rasters.pictures import read_picture
 from mgsgraph.geometry.body import geodetic
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, finite_rows
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.matching.scene import Ground, GroundChart, Picture, Scene
 
@@ -134,7 +134,7 @@ def _places(images: Sequence[PushbroomImage], height: float) -> Array:
         lines, samples = np.meshgrid(np.linspace(0.0, image.lines, 9), np.linspace(0.0, image.samples, 3))
         parts.append(image.image_to_ground(lines.ravel(), samples.ravel(), height)[0])
     places = np.concatenate(parts)
-    places = places[np.all(np.isfinite(places), axis=1)]
+    places = places[finite_rows(places)]
     require(places.size != 0, "images to match", "none that sees the body", "images of the ground")
     return places
 
@@ -160,5 +160,5 @@ def _heights(
         shots = [read_lidar(path.parent / group.file).footprints for group in tables.laser_groups]
         shots += [(profile := read_profile(entry, path.parent)).footprints[profile.ground] for entry in tables.shots]
         places = _in_images(images, np.concatenate([np.zeros((0, 3)), *shots]))
-    places = places[np.all(np.isfinite(places), axis=1)]
+    places = places[finite_rows(places)]
     return geodetic(places, images[0].body)[:, 2] if places.size else np.zeros(0)

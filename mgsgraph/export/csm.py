@@ -36,7 +36,7 @@ from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import geodetic
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, finite_rows
 from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
 from mgsgraph.units import ISIS_OFFSET, KM, MM
@@ -323,7 +323,7 @@ def _heights(solution: Solution) -> dict[str, Any]:
     """Between which heights (m above the ellipsoid) the adjusted points lie, and a hundred metres more; ALE's words for
     a solution without any.
     """
-    places = solution.places[np.all(np.isfinite(solution.places), axis=1)]
+    places = solution.places[finite_rows(solution.places)]
     if places.size == 0:
         return {"maxheight": 1000, "minheight": -1000, "unit": "m"}
     heights = geodetic(places, solution.network.images[0].body)[:, 2]

@@ -23,7 +23,7 @@ from mgsgraph.errors import InputError, require
 from mgsgraph.geometry.body import Ellipsoid, planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen
+from mgsgraph.geometry.records import Array, Index, Mask, assign, finite_rows, frozen
 from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.units import DEG
 
@@ -271,7 +271,7 @@ def footprint(
     lines = np.concatenate([down, np.ones(across), 1.0 - down, np.zeros(across)]) * image.lines
     samples = np.concatenate([np.zeros(along), side, np.ones(along), 1.0 - side]) * image.samples
     places, _ = image.image_to_ground(lines, samples, height, correction)
-    visible = np.all(np.isfinite(places), axis=1)
+    visible = finite_rows(places)
     usable = int(np.count_nonzero(visible)) >= 3 and not _goes_round(places[:along][visible[:along]])
     ring = places[visible] if usable else np.zeros((0, 3))
     return Footprint(image.name, np.concatenate([ring, ring[:1]]), image.body, bool(np.all(visible)) and usable)

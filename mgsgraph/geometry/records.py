@@ -53,6 +53,16 @@ def repeats(values: NDArray[Any]) -> bool:
     return values.size > 1 and not any(values.strides)
 
 
+def finite_rows(values: Array) -> Mask:
+    """(n,) whether all numbers of a row of (n, k) are finite."""
+    return np.asarray(np.all(np.isfinite(values), axis=1))
+
+
+def sigmas_of(covariances: Array) -> Array:
+    """(..., k) standard deviations, of covariances (..., k, k)."""
+    return np.asarray(np.sqrt(np.diagonal(covariances, axis1=-2, axis2=-1)))
+
+
 def thinned(size: int, most: int | None) -> Index:
     """All of `size` indices, or `most` of them, evenly spread from the first to the last."""
     if most is None or size <= most:

@@ -14,7 +14,7 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.tie_points import PointKind, TiePoints
-from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen, place_of
+from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen, place_of, sigmas_of
 from mgsgraph.matching.checks import cell_numbers, checked_measures, pair_signs, spread
 from mgsgraph.matching.coarse import Agreement, Aligned, aligned_pictures, window
 from mgsgraph.matching.least_squares import MatchStatus
@@ -151,7 +151,7 @@ def matches_of(
         measure_point=point[rows],
         measure_image=RepeatedNames(tuple(names), picture[rows]),
         measures=pixels[rows],
-        measure_sigmas=np.sqrt(np.diagonal(variances, axis1=1, axis2=2))[rows],
+        measure_sigmas=sigmas_of(variances)[rows],
     )
     covariances = np.concatenate([np.zeros((n, 2, 2)), measures.covariances])[rows]
     correlation = np.concatenate([nothing, measures.correlation])[rows]

@@ -11,7 +11,7 @@ from enum import StrEnum
 import numpy as np
 
 from mgsgraph.geometry.plausibility import duplicate_images
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, finite_rows
 from mgsgraph.network.network import Network
 from mgsgraph.network.records import PointClass
 from mgsgraph.record import Record
@@ -186,7 +186,7 @@ def _neighbors(network: Network, of_class: PointClass, share: float, most: float
     from scipy.spatial import cKDTree  # slow to import
 
     places = network.points.places
-    members = np.flatnonzero((network.points.classes == of_class) & np.all(np.isfinite(places), axis=1))
+    members = np.flatnonzero((network.points.classes == of_class) & finite_rows(places))
     if not members.size:
         return np.zeros((0, 2), dtype=np.int64), np.zeros(0)
     tree = cKDTree(places[members])

@@ -30,7 +30,7 @@ from mgsgraph.geometry.body import geodetic
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.records import Array, Index, Mask, finite_rows
 from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.network.joining import seconds
 from mgsgraph.record import Record
@@ -291,7 +291,7 @@ def misregistration(
     """
     ground = shots.footprints if points is None else points
     projected, _ = image.ground_to_image(ground, correction, true_places[:, 0])
-    chosen = np.flatnonzero(np.all(np.isfinite(projected + true_places), axis=1))
+    chosen = np.flatnonzero(finite_rows(projected + true_places))
     off = projected[chosen] - true_places[chosen]
     metres = on_ground(image, projected[chosen], ground[chosen], correction)
     return Misregistration(

@@ -33,7 +33,7 @@ from mgsgraph.geometry.altimetry import (
 )
 from mgsgraph.geometry.body import in_turn, planetocentric
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.records import Array, Index, Mask, finite_rows
 from mgsgraph.geometry.terrain import PostLattice, TerrainGrid
 from mgsgraph.names import Names, RepeatedNames
 from mgsgraph.network.common import gap_variances
@@ -257,7 +257,7 @@ class Coverage(NamedTuple):
 
 def coverage(grid: TerrainGrid, places: Array) -> Coverage:
     """How a terrain model covers places (n, 3) in m, body-fixed; those that are NaN count as outside it."""
-    sound = np.all(np.isfinite(places), axis=1)
+    sound = finite_rows(places)
     inside = np.zeros(sound.size, dtype=bool)
     inside[sound] = grid.holds(places[sound])
     on = int(np.count_nonzero(np.isfinite(grid.at(places[inside]))))
@@ -378,7 +378,7 @@ def posts_of(model: TerrainModel, least: float) -> Posts:
         spread += gap_variances(np.nan_to_num(points), *(mean(gap) for gap in lattice.gaps))
     names = Names.joined(*(first + 1).T).prefixed(f"{model.name}:")
     posts = Posts(names, points, np.sqrt(spread), _WIDTH * float(np.sqrt(np.prod(sides * [high, wide]))))
-    return posts.chosen(np.flatnonzero(np.all(np.isfinite(points), axis=1)))
+    return posts.chosen(np.flatnonzero(finite_rows(points)))
 
 
 def _sides(lattice: PostLattice) -> Array:

@@ -26,6 +26,7 @@ from mgsgraph.geometry.records import (
     Index,
     Mask,
     assign,
+    finite_rows,
     frozen,
     frozen_index,
     of_kind,
@@ -91,7 +92,7 @@ class GroundPoints(Record):
         require(places.shape == (n, 3), "ground points, places", f"an array of shape {places.shape}", f"shape ({n}, 3)")
         for i in np.flatnonzero(np.any(np.isinf(places), axis=1))[:1]:
             raise InputError(f"ground point {self.ids[i]}", "an infinite place", "metres, or NaN where unknown")
-        located = np.all(np.isfinite(places), axis=1)
+        located = finite_rows(places)
         for i in np.flatnonzero((kinds != PointKind.FREE) & ~located)[:1]:
             raise InputError(f"ground point {self.ids[i]}", "no a-priori place", "one for a constrained or fixed point")
         covariances = frozen(self.covariances, "ground points, covariances", (n, 3, 3))

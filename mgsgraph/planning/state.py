@@ -17,7 +17,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import require_covariance
 from mgsgraph.errors import WeakNetwork, errors_from, require
 from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.records import Array, Index, Mask, sigmas_of
 from mgsgraph.kernel.rows import Rows
 from mgsgraph.kernel.sweep import Reduction
 from mgsgraph.names import numbered
@@ -275,7 +275,7 @@ class Update:
         inside = np.flatnonzero(position >= 0)
         added = self.added.root @ self.added.root.T
         after[np.ix_(position[inside], position[inside])] += added[np.ix_(inside, inside)]
-        scale = 1.0 / np.sqrt(np.diagonal(before))
+        scale = 1.0 / sigmas_of(before)
         logs = [np.linalg.slogdet(matrix * scale[:, None] * scale)[1] for matrix in (before, after)]
         return self.bits - float(0.5 * (logs[1] - logs[0]) / np.log(2.0))
 

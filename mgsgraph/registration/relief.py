@@ -27,7 +27,7 @@ from mgsgraph.case.scene import picture_file
 from mgsgraph.compiled import in_threads
 from mgsgraph.errors import InputError, errors_from, require
 from mgsgraph.geometry.body import east_north
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, sigmas_of
 from mgsgraph.geometry.stereo_surface import SurfaceHeights, heights_above
 from mgsgraph.names import image_names
 from mgsgraph.network import TERRAIN, Network, PointClass
@@ -294,7 +294,7 @@ class _SearchedProfile:
         if not before.cost.clear:
             return False
         near = [
-            np.all(np.abs(minimum.shift) <= np.maximum(3.0 * np.sqrt(np.diag(minimum.covariance)), _NEAR))
+            np.all(np.abs(minimum.shift) <= np.maximum(3.0 * sigmas_of(minimum.covariance), _NEAR))
             for minimum in self.cost.minima
             if minimum.weight > _LIKELY
         ]

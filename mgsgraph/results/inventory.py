@@ -22,7 +22,7 @@ from mgsgraph.geometry.altimetry import require_on_body
 from mgsgraph.geometry.footprint import eastward_bounds, footprint, overlaps
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, finite_rows, sigmas_of
 from mgsgraph.geometry.trajectory import utc_of_tdb
 from mgsgraph.network import Network, NodePrior, Pass, PointClass, SharedKind
 from mgsgraph.network.connectivity import (
@@ -125,7 +125,7 @@ def _expected_precision(network: Network, prediction: Prediction) -> Iterator[st
             continue
         sigmas = np.median(local_sigmas(prediction.covariances[determined], prediction.places[determined]), axis=0)
         residuals = prediction.residuals[np.isin(network.rays.point, determined)]
-        finite = residuals[np.all(np.isfinite(residuals), axis=1)]
+        finite = residuals[finite_rows(residuals)]
         fit = ", before adjustment: residuals {} x {} px (rms)".format(*map(two, root_mean_square(finite, 0).tolist()))
         yield (
             f"{points.size} {name}{fit if finite.size else ''}. Expected median sigma: "
@@ -309,12 +309,12 @@ def _sigmas_text(sigmas: Array) -> str:
 def _points_section(network: Network, prediction: Prediction) -> Section:
     """Points by class, with expected sigmas and residuals; ranges."""
     ray_counts, sentences, rows = network.ray_counts, list[str](), []
-    sigmas = np.sqrt(np.diagonal(prediction.covariances, axis1=1, axis2=2))
+    sigmas = sigmas_of(prediction.covariances)
     for _, points in network.of_class():
-        determined = points[np.all(np.isfinite(sigmas[points]), axis=1)]
+        determined = points[finite_rows(sigmas[points])]
         expected = sigmas[determined].mean(axis=0) if determined.size else np.full(3, np.nan)
         residuals = prediction.residuals[np.isin(network.rays.point, determined)]
-        rms = (root_mean_square(residuals[np.all(np.isfinite(residuals), axis=1)], 0) if residuals.size
+        rms = (root_mean_square(residuals[finite_rows(residuals)], 0) if residuals.size
                else np.full(2, np.nan))
         rows.append((points.size, np.count_nonzero(network.points.kinds[points] == PointKind.FREE),
                      ray_counts[points].min(), ray_counts[points].max(), *expected, *rms))  # fmt: skip

@@ -13,7 +13,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.files.output.folders import COREGISTRATION, fresh_folder
 from mgsgraph.files.output.table import Table, numbers
 from mgsgraph.geometry.body import east_north_up, geodetic, planetocentric
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, sigmas_of
 from mgsgraph.registration.minima import ProfileState, ReliefProfile, ReliefRegistration
 from mgsgraph.results.results import write_into
 from mgsgraph.results.section import Section, record_of, sheets_by, table_of, write_sections_into
@@ -137,7 +137,7 @@ def profiles_table(registration: ReliefRegistration) -> Table:
 
     def misplacement(when: str) -> dict[str, Array]:
         states = [getattr(profile, when) for profile in profiles]
-        sigma = [np.sqrt(np.diag(state.misplacement_covariance)) for state in states]
+        sigma = [sigmas_of(state.misplacement_covariance) for state in states]
         key = f"misplacement_{when}_{{}}"
         return {key: numbers(states, "misplacement").reshape(-1, 2), f"sigma_{key}": np.array(sigma).reshape(-1, 2)}
 
@@ -152,7 +152,7 @@ def profiles_table(registration: ReliefRegistration) -> Table:
         **misplacement("before"), **misplacement("after"), "misfit": minimum(0, "misfit"),
         "runner_up_misfit": minimum(1, "misfit"), "runner_up_weight": minimum(1, "weight"),
         "shift_{}": of(lambda profile: profile.shift, 2),
-        "sigma_shift_{}": of(lambda profile: np.sqrt(np.diag(profile.covariance)), 2),
+        "sigma_shift_{}": of(lambda profile: sigmas_of(profile.covariance), 2),
         "apriori_sigma_shift": shifts.sigmas,
     }, profiles)  # fmt: skip
 

@@ -19,7 +19,7 @@ from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.files.output.table import Column, Table, padded, picked, write_parquet
 from mgsgraph.files.rasters.raster_file import geographic_crs
 from mgsgraph.geometry.body import Ellipsoid, east_north_up, geodetic, planetocentric
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, sigmas_of
 from mgsgraph.names import RepeatedNames
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import Connectivity
@@ -34,7 +34,7 @@ def points_table(solution: Solution, rows: slice | Index = slice(None)) -> Table
     Some of the `rows` alone where the table has a choice of the points.
     """
     network, places, covariances = solution.network, solution.places[rows], solution.covariances[rows]
-    sigmas = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
+    sigmas = sigmas_of(covariances)
     moved, rejected = places - solution.places_before[rows], rejected_points(solution)[rows]
     longitude, latitude, radius = planetocentric(places).T
     a, b = np.triu_indices(3)

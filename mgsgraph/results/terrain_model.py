@@ -15,7 +15,7 @@ from mgsgraph.files.output.folders import DEM, PROGRAM, STAC_ITEM, fresh_folder,
 from mgsgraph.files.output.table import Table, picked, write_json
 from mgsgraph.files.rasters.raster_file import geotiff
 from mgsgraph.geometry.body import planetocentric
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, sigmas_of
 from mgsgraph.matching.scene import Ground, Picture, Scene
 from mgsgraph.registration.dem.checking import check_figures, check_profiles
 from mgsgraph.registration.dem.gridding import HeightGrid, MapGrid
@@ -186,7 +186,7 @@ def _record(dem: Dem, settings: DemSettings, pixel: float) -> dict[str, Any]:
         "height_m": [np.nanmin(dem.heights), np.nanmax(dem.heights)], "quantiles_5_50_95_m": quantiles,
         "checks": [
             {
-                **record_of("dem_check", profile), "shift_sigma_m": np.sqrt(np.diag(profile.shift_covariance)),
+                **record_of("dem_check", profile), "shift_sigma_m": sigmas_of(profile.shift_covariance),
                 **(check_figures(checks, mask) if np.any(mask := checks.profile == k) else {"shots": 0}),
             }
             for k, profile in enumerate(dem.profiles)

@@ -25,7 +25,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north_up, error_ellipses, geodetic, planetocentric
 from mgsgraph.geometry.intersection import meet_terrain
 from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, finite_rows
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network.corrections import designs
 from mgsgraph.studio.opened import Block
@@ -149,7 +149,7 @@ class GroundModel:
         if grid is None:
             return None
         places = np.concatenate([self._block.places, *self._block.grounds])
-        return grid.around(places[np.all(np.isfinite(places), axis=1)], _AROUND)
+        return grid.around(places[finite_rows(places)], _AROUND)
 
     def _heights(self, points: Index) -> Array:
         """(k,) m above the ellipsoid, of some points with a place."""

@@ -14,7 +14,7 @@ from mgsgraph.analysis.statistics import medians, span
 from mgsgraph.errors import InputError, require
 from mgsgraph.files.output.table import digits, plain
 from mgsgraph.geometry.body import east_north_up, from_planetocentric, places_at, planetocentric
-from mgsgraph.geometry.records import Array, Index, Mask, thinned
+from mgsgraph.geometry.records import Array, Index, Mask, finite_rows, thinned
 from mgsgraph.network import PointClass
 from mgsgraph.studio.marks import projected
 from mgsgraph.studio.opened import Block, Opened
@@ -343,7 +343,7 @@ def scene_record(opened: Opened) -> dict[str, Any]:
     block = opened.block()
     number = np.bincount(block.network.points.classes, minlength=len(PointClass))
     places = map_points(opened).plane
-    located = places[np.all(np.isfinite(places), axis=1)]
+    located = places[finite_rows(places)]
     corners = located if len(located) else np.concatenate([outline for outline in opened.footprints() if len(outline)])
     return {
         "kind": opened.kind, "name": opened.now.name, "path": str(opened.path), "revision": opened.revision,

@@ -7,7 +7,7 @@ from scipy.spatial import KDTree
 
 from mgsgraph.files.output.table import plain
 from mgsgraph.geometry.body import east_north_up, geodetic
-from mgsgraph.geometry.records import Array, Index, Mask, thinned
+from mgsgraph.geometry.records import Array, Index, Mask, finite_rows, thinned
 from mgsgraph.geometry.terrain import areoid_heights
 from mgsgraph.network import PointClass
 from mgsgraph.studio.linked import NEIGHBOURS, weights_by_distance
@@ -51,7 +51,7 @@ def projected(block: Block, image: int, points: Array, lines: Array | None = Non
     orientation before the adjustment.
     """
     pixels = np.full((len(points), 2), np.nan)
-    located = np.flatnonzero(np.all(np.isfinite(points), axis=1) & np.any(points, axis=1))
+    located = np.flatnonzero(finite_rows(points) & np.any(points, axis=1))
     picture = block.network.images[image] if nominal else block.images[image]
     correction = None if nominal else block.corrections[image]
     if located.size:
@@ -172,5 +172,5 @@ def _inside(block: Block, image: int, places: Array) -> Mask:
 
 
 def _pairs(values: Array) -> list[list[float] | None]:
-    finite = np.all(np.isfinite(values), axis=1).tolist()
+    finite = finite_rows(values).tolist()
     return [pair if is_finite else None for pair, is_finite in zip(values.tolist(), finite, strict=True)]

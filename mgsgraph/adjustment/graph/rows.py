@@ -23,7 +23,7 @@ from mgsgraph.adjustment.graph.variables import Variables
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.plausibility import require_on_ground, resection_remedy
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, finite_rows
 from mgsgraph.kernel.rows import (
     FIXED,
     FREE,
@@ -361,7 +361,7 @@ def _begin_crossing(network: Network, places: Array | None) -> Crossing:
     starts = network.points.places.copy()
     given = np.zeros(starts.shape[0], dtype=bool)
     if places is not None:
-        given = np.all(np.isfinite(places), axis=1)
+        given = finite_rows(places)
         starts[given] = places[given]
     free = (network.points.kinds == PointKind.FREE) & ~network.undetermined & ~given
     return Crossing(free, starts, np.zeros(free.size))
@@ -375,7 +375,7 @@ def _starting_points(network: Network, crossing: Crossing | None) -> tuple[Array
     free, starts, angles = crossing
     where, remedy = "images and their ties", resection_remedy(network.images)
     require_on_ground(starts[free], angles[free], network.images[0].body, where, remedy)
-    unknown = ~np.all(np.isfinite(starts), axis=1)
+    unknown = ~finite_rows(starts)
     _start_on_the_ground(network, np.flatnonzero(free & unknown), starts)
     starts[unknown & ~free] = 0.0
     kinds = np.array([FREE, PRIOR, FIXED], dtype=np.int8)[network.points.kinds]

@@ -16,7 +16,7 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import intersect_ellipsoid
 from mgsgraph.geometry.orientation import Angles, OrientationCorrection
-from mgsgraph.geometry.records import Array, assign, frozen, read_only
+from mgsgraph.geometry.records import Array, assign, frozen, read_only, sigmas_of
 from mgsgraph.geometry.rotation import skew
 from mgsgraph.network import HELD, Network, SharedKind
 from mgsgraph.network.joining import Definitions, NamedPass, NamedShared, definitions, seconds, with_definitions
@@ -86,7 +86,7 @@ class Bundle:
     @property
     def sigmas(self) -> Array:
         """(n, 3) m, standard deviations of the points."""
-        return np.asarray(np.sqrt(np.diagonal(self.covariances, axis1=1, axis2=2)))
+        return np.asarray(sigmas_of(self.covariances))
 
     def __post_init__(self) -> None:
         n = len(self.network.points)
@@ -126,7 +126,7 @@ class Shared:
     @property
     def sigmas(self) -> Array:
         """(d,) standard deviations, m and rad, for sigma0 = 1."""
-        return np.asarray(np.sqrt(np.diagonal(self.covariance)))
+        return np.asarray(sigmas_of(self.covariance))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

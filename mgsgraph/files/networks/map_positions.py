@@ -25,7 +25,7 @@ from mgsgraph.files.csv_columns import CARTESIAN, MATRIX, OF_POINT, Columns, mea
 from mgsgraph.files.rasters.raster_file import open_raster
 from mgsgraph.files.rasters.terrain_file import MapProjection, map_projection
 from mgsgraph.geometry.body import Ellipsoid, east_north_up
-from mgsgraph.geometry.records import Array, Mask
+from mgsgraph.geometry.records import Array, Mask, finite_rows
 from mgsgraph.units import DEG
 
 _PIXELS, _PLANE, _DEGREES = ("map_line", "map_sample"), ("map_x", "map_y"), ("longitude_deg", "latitude_deg")
@@ -73,7 +73,7 @@ class ControlMap:
         require(rows.size > 0, where, "no position in the orthoimage in any row", f"{' and '.join(positions)}")
         read = table.chosen(rows)
         values = np.column_stack([measured(read.values[name], read.where) for name in positions])
-        _require(np.all(np.isfinite(values), axis=1), read, "half a position", f"both {' and '.join(positions)}")
+        _require(finite_rows(values), read, "half a position", f"both {' and '.join(positions)}")
         ids, first = read.values.get("id", read.values[positions[0]]), dict[str, list[float]]()  # none: refused later
         same = [first.setdefault(ids[k].as_py(), row) == row for k, row in enumerate(values.tolist())]
         _require(np.array(same), read, f"{' and '.join(positions)} other than in an earlier row", "one position")

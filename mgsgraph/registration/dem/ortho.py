@@ -14,7 +14,7 @@ from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.case.schema import CaseInput
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.body import east_north_up, geodetic
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, sigmas_of
 from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.matching.patches import Tile, ortho_patch
 from mgsgraph.matching.scene import Ground, Picture, Scene
@@ -122,7 +122,7 @@ def ortho_accuracy(posterior: Posterior, scene: Scene, matched: "DenseMatches", 
         level = east_north_up(points)[:, :2]
         spread = nodes.at(np.nan_to_num(pixels)) + moved[:, :, None] * moved[:, None]
         covariances = level @ spread @ level.mT
-        bands[:2, part] = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2)).T
+        bands[:2, part] = sigmas_of(covariances).T
         bands[2, part] = covariances[:, 0, 1] / bands[:2, part].prod(axis=0)
     return bands.reshape(3, grid.rows, grid.columns)
 

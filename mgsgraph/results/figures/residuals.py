@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import medians, used_rays
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, finite_rows
 from mgsgraph.network import PointClass
 from mgsgraph.results.figures.sheet import (
     AFTER,
@@ -117,7 +117,7 @@ def _spreads(solution: Solution, row: Index) -> tuple[Array, Array]:
 
 def _residual_caption(solution: Solution, spreads: Array, largest: Array) -> str:
     """Caption with the main numbers."""
-    rejected = int(np.count_nonzero(~solution.rays_used & np.all(np.isfinite(solution.residuals), axis=1)))
+    rejected = int(np.count_nonzero(~solution.rays_used & finite_rows(solution.residuals)))
     figures = np.nanmedian(spreads), np.nanmax(spreads), np.nanmax(largest)
     middle, most, worst = (number(float(value)) for value in figures)
     return (
