@@ -236,6 +236,11 @@ class Solution(Record):
         """Determined points of one class."""
         return np.flatnonzero((self.network.points.classes == point_class) & self.determined)
 
+    @property
+    def ending(self) -> str:
+        """How it ended, for sentences: converged, or NOT converged."""
+        return "converged" if self.converged else "NOT converged"
+
     def _repr_html_(self) -> str:
         """For notebooks."""
         rows = [("points", "number", "mean sigma X, Y, Z"), ("", "", "m")]
@@ -247,10 +252,9 @@ class Solution(Record):
         return card(repr(self), [self.message], rows, head=2)
 
     def __repr__(self) -> str:
-        state = "converged" if self.converged else "NOT converged"
         return (
-            f"Solution({self.name!r}, {state} after {self.iterations} iterations, cost {self.cost_initial:.6g} -> "
-            f"{self.cost_final:.6g}, sigma0 {self.sigma0:.4g}, {self.fit.degrees_of_freedom} degrees of freedom; "
+            f"Solution({self.name!r}, {self.ending} after {self.iterations} iterations, cost {self.cost_initial:.6g} "
+            f"-> {self.cost_final:.6g}, sigma0 {self.sigma0:.4g}, {self.fit.degrees_of_freedom} degrees of freedom; "
             f"{self.network!r})"
         )
 

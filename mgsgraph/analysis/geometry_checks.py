@@ -12,7 +12,7 @@ import numpy as np
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.body import Ellipsoid, distances, nearness
 from mgsgraph.geometry.intersection import intersect_rays
-from mgsgraph.geometry.records import Array, Index, place_of
+from mgsgraph.geometry.records import Array, Index, finite_rows, place_of
 from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.network import Network
 
@@ -52,9 +52,9 @@ def deviating_heights(network: Network, places: Array, covariances: Array) -> De
     """
     by_class = [DeviatingHeights(np.zeros(0, dtype=np.int64), np.zeros(0))]
     for _, members in network.of_class():
-        located = members[np.isfinite(places[members]).all(axis=1) & (network.points.kinds[members] != PointKind.FIXED)]
+        located = members[finite_rows(places[members]) & (network.points.kinds[members] != PointKind.FIXED)]
         # in a frame that is not body-fixed nothing is known of heights
-        if located.size > _NEIGHBORS and _near(float(np.median(distances(places[located]))), network.images[0].body):
+        if located.size > _NEIGHBORS and _near(float(np.median(distances(places[located]))), network.body):
             points, deviations = _deviating(places[located], covariances[located])
             by_class.append(DeviatingHeights(located[points], deviations))
     points, deviations = (np.concatenate(part) for part in zip(*by_class, strict=True))

@@ -17,7 +17,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import (
     Ellipsoid,
     east_north_up,
-    geodetic,
+    ellipsoidal_heights,
     intersect_ellipsoid,
     planetocentric,
 )
@@ -144,14 +144,14 @@ def _ground_height(posterior: "Posterior") -> float:
     """Height above the ellipsoid, m: the middle of the adjusted points'."""
     at = posterior.linearised
     places = at.points[np.linalg.norm(at.points, axis=1) > 0.0]
-    return float(np.median(geodetic(places, posterior.network.images[0].body)[:, 2])) if places.size else 0.0
+    return float(np.median(ellipsoidal_heights(places, posterior.network.body))) if places.size else 0.0
 
 
 def _ground(posterior: "Posterior", places: Array, height: float) -> Array:
     """(n, 3) m, ground at longitudes and planetocentric latitudes (n, 2): on the terrain model where there is one, else
     at a height above the ellipsoid.
     """
-    body, surface = posterior.network.images[0].body, posterior.network.surface
+    body, surface = posterior.network.body, posterior.network.surface
     longitudes, latitudes = places.T
     ground = on_surface(longitudes, latitudes, body, height)
     if surface is None:
@@ -176,7 +176,7 @@ def _extent(
         found = f"an overlap up to {np.abs([low[1], high[1]]).max() / DEG:.1f} deg of latitude"
         expected = f"at most {_POLAR / DEG:.0f} deg"
         raise InputError("sigma raster", found, expected, "choose images farther from the pole")
-    radius, shrunk = posterior.network.images[0].body.equatorial, np.array([np.cos(0.5 * (low[1] + high[1])), 1.0])
+    radius, shrunk = posterior.network.body.equatorial, np.array([np.cos(0.5 * (low[1] + high[1])), 1.0])
     side = float(np.sqrt(np.prod((high - low) * shrunk) / _CELLS)) if cell is None else cell / radius
     if not (np.isfinite(side) and 0.0 < side < (high - low).max()):
         found = f"cells of {side * radius:.3g} m"
@@ -379,7 +379,7 @@ class View:
 
         points = self.solution.places[adjusted]
         sigmas = local_sigmas(self.solution.covariances[adjusted], points)[:, 2]
-        return predicted_heights(points, geodetic(points, self.image.body)[:, 2], sigmas, places)
+        return predicted_heights(points, ellipsoidal_heights(points, self.image.body), sigmas, places)
 
     def _terrain_sigmas(self, points: Array, normals: Array, terrain: TerrainGrid) -> Array:
         """(n,) m, of a terrain model's height: its own, and of the solution's model what its shift, lift and tilt do,

@@ -236,7 +236,7 @@ def _require_same_heights(
     scatter = 1.4826 * float(np.median(np.abs(off - middle)))
     entry = tables.terrain_models[0]
     if abs(middle) > _TOO_FAR * np.hypot(scatter, np.hypot(entry.vertical_sigma_m, entry.height_sigma_m or 0.0)):
-        likely = _likely_surface(entry, middle, shots, network.images[0].body, profiles)
+        likely = _likely_surface(entry, middle, shots, network.body, profiles)
         found = f"heights {-middle:+.0f} m off those of the laser (median of {off.size} shots){likely}"
         raise InputError(
             f"{path}, terrain", found, "the same ground",

@@ -14,7 +14,7 @@ from mgsgraph.case.terrain import as_grid, read_terrain_model
 from mgsgraph.errors import InputError, require
 from mgsgraph.files.altimetry.lidar import read_lidar
 from mgsgraph.files.rasters.pictures import read_picture
-from mgsgraph.geometry.body import geodetic
+from mgsgraph.geometry.body import ellipsoidal_heights
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array, finite_rows
@@ -161,4 +161,4 @@ def _heights(
         shots += [(profile := read_profile(entry, path.parent)).footprints[profile.ground] for entry in tables.shots]
         places = _in_images(images, np.concatenate([np.zeros((0, 3)), *shots]))
     places = places[finite_rows(places)]
-    return geodetic(places, images[0].body)[:, 2] if places.size else np.zeros(0)
+    return ellipsoidal_heights(places, images[0].body) if places.size else np.zeros(0)

@@ -59,7 +59,7 @@ def write_asp(
     """
     files = _files(solution, images or {})
     network = _taking_part(solution, files, scaled)
-    body = solution.network.images[0].body
+    body = solution.network.body
     texts = dict[str, str | bytes]()
     if any(point.type == PointType.FREE and len(point.measures) > 1 for point in network.points):
         texts |= {path.as_posix(): content for path, content in match_files(network, Path(PREFIX)).items()}
@@ -135,7 +135,7 @@ def _positive(covariance: Sequence[float]) -> bool:
 
 
 def _readme(solution: Solution, written: Sequence[str], scaled: bool) -> str:
-    body, version = solution.network.images[0].body, solution.versions.get("mgsgraph", "")
+    body, version = solution.network.body, solution.versions.get("mgsgraph", "")
     matches = any(name.startswith(PREFIX) for name in written)
     sample = f" --match-files-prefix {PREFIX}" if matches else ""
     control = f" {CONTROL}" if CONTROL in written else ""

@@ -26,7 +26,7 @@ from mgsgraph.files.output.table import picked, quoted
 from mgsgraph.files.writing import write_files
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import in_turn, planetocentric
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, finite_rows
 from mgsgraph.geometry.trajectory import Trajectory
 from mgsgraph.network import Network, PointClass, PolynomialPrior
 from mgsgraph.network.corrections import designs
@@ -282,7 +282,7 @@ def _residuals_csv(solution: Solution) -> str:
     network, rays = solution.network, solution.network.rays
     laser = network.points.classes == PointClass.LASER
     order = np.lexsort((rays.point, laser[rays.point]))
-    order = order[np.isfinite(solution.residuals[order]).all(axis=1)]
+    order = order[finite_rows(solution.residuals[order])]
     focal = np.empty((rays.point.size, 2))
     for j in np.unique(rays.image).tolist():
         of_image = rays.image == j

@@ -33,7 +33,7 @@ from mgsgraph.files.support_data.isd_layout import (
 )
 from mgsgraph.files.writing import file_stem, write_files
 from mgsgraph.geometry import rotation
-from mgsgraph.geometry.body import geodetic
+from mgsgraph.geometry.body import ellipsoidal_heights
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, finite_rows
@@ -299,10 +299,9 @@ def file_stems(solution: Solution, files: Mapping[str, str] | None = None) -> li
 
 def _provenance(solution: Solution) -> str:
     version = solution.versions.get("mgsgraph", "unknown")
-    state = "converged" if solution.converged else "NOT converged"
     return (
-        f"Adjusted by mgsgraph {version}, solution {solution.name!r}, {state}. Positions are geometric: no light time "
-        "and no stellar aberration. Time biases are applied: do not apply them again."
+        f"Adjusted by mgsgraph {version}, solution {solution.name!r}, {solution.ending}. Positions are geometric: no "
+        "light time and no stellar aberration. Time biases are applied: do not apply them again."
     )
 
 
@@ -326,7 +325,7 @@ def _heights(solution: Solution) -> dict[str, Any]:
     places = solution.places[finite_rows(solution.places)]
     if places.size == 0:
         return {"maxheight": 1000, "minheight": -1000, "unit": "m"}
-    heights = geodetic(places, solution.network.images[0].body)[:, 2]
+    heights = ellipsoidal_heights(places, solution.network.body)
     least, largest = np.floor(heights.min() - _AROUND), np.ceil(heights.max() + _AROUND)
     return {"maxheight": float(largest), "minheight": float(least), "unit": "m"}
 
@@ -395,7 +394,8 @@ def _support_data(
     carried = {k: v for k, v in original.items() if k not in ("sun_position", "body_rotation", "instrument_pointing")}
     fields = support_fields(
         image, tables.epoch, _position_table(tables, body), _pointing_table(tables, body, original),
-        _body_table(tables.epoch, body, original), _no_sun(tables),
+        _rotation_table(tables.epoch + body.times, *body.at(body.times), original.get("body_rotation")),
+        _no_sun(tables),
     )  # fmt: skip
     return carried | fields | {
         "detector_sample_summing": summing,
@@ -420,10 +420,6 @@ def _pointing_table(tables: RefinedTables, body: AttitudeTable, original: Mappin
     to_body, body_rate = body.at(times)
     rate = tables.angular_rates + np.einsum("nij,nj->ni", to_camera, body_rate)
     return _rotation_table(tables.epoch + times, to_camera @ to_body, rate, original.get("instrument_pointing"))
-
-
-def _body_table(epoch: float, body: AttitudeTable, original: Mapping[str, Any]) -> RotationTable:
-    return _rotation_table(epoch + body.times, *body.at(body.times), original.get("body_rotation"))
 
 
 def _rotation_table(times: Array, matrices: Array, rates: Array, stated: Any) -> RotationTable:

@@ -57,7 +57,7 @@ from mgsgraph.files.writing import account, fresh_file, write_file, writing_to
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, finite_rows
 from mgsgraph.text import listed, many, some
 from mgsgraph.units import KM
 
@@ -408,5 +408,5 @@ def _distance(cube: PushbroomImage, image: PushbroomImage, correction: Orientati
     lines, samples = (axis.ravel() for axis in np.meshgrid(_PLACES * image.lines, _PLACES * image.samples))
     ground, _ = image.image_to_ground(lines, samples, 0.0, correction)
     seen, _ = cube.ground_to_image(ground)
-    off = np.linalg.norm(seen - np.column_stack([lines, samples]), axis=1)[np.isfinite(ground).all(axis=1)]
+    off = np.linalg.norm(seen - np.column_stack([lines, samples]), axis=1)[finite_rows(ground)]
     return float(off.max()) if off.size else np.nan

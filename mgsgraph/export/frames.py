@@ -104,7 +104,7 @@ def to_geopandas(solution: Solution, what: str = "points") -> "GeoDataFrame":
     """
     geopandas = library("geopandas", _EXTRA, f"table of {what}")
     frame = _table(solution, what, _PLACED).arrow.to_pandas()
-    crs = wkt2(geographic_crs(solution.network.images[0].body))
+    crs = wkt2(geographic_crs(solution.network.body))
     shapes = geopandas.GeoSeries.from_wkb(frame.pop(GEOMETRY), crs=crs)
     return geopandas.GeoDataFrame(frame, geometry=shapes)
 
@@ -149,7 +149,7 @@ def to_xarray(solution: Solution, places: int = 31) -> "Dataset":
         labels |= {dimension: list(parts)} if dimension else {}
         attributes = {"long_name": texts[name], "units": _unit(texts[name])}
         variables[name] = dimensions, values.reshape(len(images), places, *values.shape[1:]), attributes
-    body = solution.network.images[0].body
+    body = solution.network.body
     about = {
         "title": f"Exterior orientation of {solution.name}", "frame": "body-fixed",
         "sigma0": solution.sigma0, "sigmas": "for sigma0 = 1",

@@ -7,7 +7,6 @@ its cubes.
 """
 
 import math
-from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -137,7 +136,7 @@ def adjusted_network(
     indices = np.flatnonzero(chosen).tolist()
     require(indices, f"solution {solution.name!r}", "no point that is measured in an image", "some for a network")
     factor, rejected = covariance_factor(solution, scaled), rejected_points(solution).tolist()
-    measures, body = _measures(solution), network.images[0].body
+    measures, body = _measures(solution), network.body
     kinds, known = network.points.kinds.copy(), network.independent.points.covariances
     checks = network.points.checkpoints
     kinds[checks] = np.where(known[checks].any(axis=(1, 2)), int(PointKind.CONSTRAINED), int(PointKind.FIXED))
@@ -151,7 +150,8 @@ def adjusted_network(
         constrained, intersected = kind == PointKind.CONSTRAINED, stated[i] is None and first[i] is not None
         points.append(ControlPoint(
             id=network.points.ids[i], type=_TYPES[kind], measures=tuple(measures[i]), chooser_name=PROGRAM,
-            jigsaw_rejected=rejected[i], reference=_reference(measures[i]),
+            jigsaw_rejected=rejected[i],
+            reference=next((k for k, measure in enumerate(measures[i]) if not measure.jigsaw_rejected), 0),
             apriori_source=AprioriSource.AVERAGE_OF_MEASURES if intersected else AprioriSource.NONE,
             latitude_constrained=constrained, longitude_constrained=constrained, radius_constrained=constrained,
             apriori=stated[i] or first[i], apriori_covariance=prior[i],
@@ -183,11 +183,6 @@ def _measures(solution: Solution) -> list[list[ControlMeasure]]:
     return measures
 
 
-def _reference(measures: Sequence[ControlMeasure]) -> int:
-    """The first measure that was not rejected, or the first."""
-    return next((k for k, measure in enumerate(measures) if not measure.jigsaw_rejected), 0)
-
-
 def _places(places: Array) -> list[tuple[float, float, float] | None]:
     """Places (n, 3) in m; None where they are unknown."""
     return [(x, y, z) if math.isfinite(x + y + z) else None for x, y, z in places.tolist()]
@@ -201,11 +196,10 @@ def _triangles(covariances: Array, finite: Mask) -> list[tuple[float, ...]]:
 
 
 def _description(solution: Solution, scaled: bool) -> str:
-    state = "converged" if solution.converged else "NOT converged"
     version = solution.versions.get(PROGRAM, "of unknown version")
     size = f"sigma0 {solution.sigma0:.6g}"
-    covariances = f"times sigma0^2 ({size}), as jigsaw gives them" if scaled else f"for sigma0 = 1 ({size} not applied)"
-    return _one_line(f"{ADJUSTED_BY} {version}: {solution.name}, {state}. Adjusted covariances {covariances}.")
+    scale = f"times sigma0^2 ({size}), as jigsaw gives them" if scaled else f"for sigma0 = 1 ({size} not applied)"
+    return _one_line(f"{ADJUSTED_BY} {version}: {solution.name}, {solution.ending}. Adjusted covariances {scale}.")
 
 
 def _one_line(text: str) -> str:

@@ -250,7 +250,7 @@ def _isis(solution: Solution, folder: Path, settings: ExportSettings, path: Path
 
     sources = Sources(None)
     if settings.networks or np.any(solution.network.points.classes == PointClass.TIE):
-        sources = source_networks(path, settings.networks, solution.network.images[0].body)
+        sources = source_networks(path, settings.networks, solution.network.body)
     output = write_isis(solution, folder, settings.scaled, source=sources.network)
     return _Written(output.paths, (*output.notes, *sources.notes))
 

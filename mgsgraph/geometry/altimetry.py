@@ -449,7 +449,7 @@ class AltimetryCloud(Record):
     Examples
     --------
     >>> _ = Path("cloud.csv").write_text("x_m,y_m,z_m,id,profile\n171000.0,3382000.0,248000.0,1,9000\n")
-    >>> cloud = mgsgraph.read_altimetry_cloud(Path("cloud.csv"), network.images[0].body)
+    >>> cloud = mgsgraph.read_altimetry_cloud(Path("cloud.csv"), network.body)
     >>> cloud.profiles, cloud.points.shape
     (('9000',), (1, 3))
     """

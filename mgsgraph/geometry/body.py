@@ -207,6 +207,11 @@ def geodetic(points: Array, ellipsoid: Ellipsoid) -> Array:
     return np.stack([np.arctan2(y, x), latitude, height], axis=-1)
 
 
+def ellipsoidal_heights(points: Array, ellipsoid: Ellipsoid) -> Array:
+    """(n,) m, heights of points (n, 3) above the ellipsoid."""
+    return np.asarray(geodetic(points, ellipsoid)[:, 2])
+
+
 def from_geodetic(places: Array, ellipsoid: Ellipsoid) -> Array:
     """Body-fixed points (..., 3) in m of longitude, geodetic latitude (rad) and height (m) (..., 3)."""
     longitude, latitude, height = np.moveaxis(places, -1, 0)

@@ -46,7 +46,7 @@ def map_degrees(points: Array) -> Array:
 
 def map_points(points: Array) -> Shapes:
     """Points (n) of places (n, 3) in m; None where these are NaN."""
-    shapes, finite = _nothing(points.shape[0]), np.isfinite(points).all(axis=1)
+    shapes, finite = _nothing(points.shape[0]), finite_rows(points)
     shapes[finite] = shapely.points(map_degrees(points[finite]))
     return shapes
 

@@ -137,10 +137,6 @@ class OrientationImages(Record):
             low, high = (low - 1, high) if low > 0 else (low, high + 1)
         return replace(self, times=times[low : high + 1], span=self.trend_span)
 
-    def with_nodes_at(self, times: Array) -> "OrientationImages":
-        """The same with other nodes."""
-        return replace(self, times=times)
-
 
 def _lagrange(times: Array, nodes: Array) -> tuple[Array, Array]:
     """Lagrange's polynomials through nodes (n, 4) at times (n,), and their derivatives."""

@@ -12,7 +12,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import Ellipsoid, distances, nearness, require_possible, surface_radii
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, finite_rows
 from mgsgraph.geometry.trajectory import PositionTable, Trajectory
 from mgsgraph.units import KM
 
@@ -79,7 +79,7 @@ def require_on_ground(points: Array, angles: Array, body: Ellipsoid, where: str,
     where, remedy : str
         What has them, and what to do.
     """
-    met = (angles > _CONVERGENT) & np.isfinite(points).all(axis=1)
+    met = (angles > _CONVERGENT) & finite_rows(points)
     if np.count_nonzero(met) < _FEW or body.polar < _FLATTEST * body.equatorial:  # a plane, to which no radius belongs
         return
     measured, ground, near = distances(points[met]), surface_radii(points[met], body), nearness(body)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.tie_points import TiePoints
-from mgsgraph.geometry.body import east_north, geodetic
+from mgsgraph.geometry.body import east_north, ellipsoidal_heights
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.records import Array, Index, Mask
@@ -133,7 +133,7 @@ def _heights(images: Sequence[PushbroomImage], positions: Array) -> Array:
     body = images[0].body
     finite = np.isfinite(positions[:, 0])
     heights = np.zeros(positions.shape[0])
-    heights[finite] = geodetic(positions[finite], body)[:, 2]
+    heights[finite] = ellipsoidal_heights(positions[finite], body)
     return np.where(np.abs(heights) < _HIGHEST * body.equatorial, heights, 0.0)
 
 

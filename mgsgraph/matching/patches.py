@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from mgsgraph.errors import library
 from mgsgraph.geometry.body import in_turn
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, finite_rows
 from mgsgraph.geometry.terrain import refined
 from mgsgraph.matching.scene import Ground, Picture, Scene
 
@@ -132,7 +132,7 @@ def blur_sigmas(nodes: Array) -> tuple[float, float]:
     pixels would skip most of the picture's, and show their noise and aliases instead. Zero where none is needed.
     """
     steps = [np.abs(np.diff(nodes, axis=k)).reshape(-1, 2) / NODE for k in (0, 1)]
-    finite = [step[np.isfinite(step).all(axis=1)] for step in steps]
+    finite = [step[finite_rows(step)] for step in steps]
     if not (len(finite[0]) and len(finite[1])):
         return 0.0, 0.0
     lines, samples = np.hypot(*(np.median(step, axis=0) for step in finite)).tolist()

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.body import geodetic
+from mgsgraph.geometry.body import ellipsoidal_heights
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network.network import Network
@@ -210,7 +210,7 @@ def network_footprints(
     """
     from mgsgraph.geometry.footprint import footprint  # shapely takes its time
 
-    heights = geodetic(places, network.images[0].body)[:, 2]
+    heights = ellipsoidal_heights(places, network.body)
     finite = np.isfinite(heights)
     everywhere = float(np.median(heights[finite])) if np.any(finite) else 0.0
     footprints, order = [], np.argsort(network.rays.image, kind="stable")

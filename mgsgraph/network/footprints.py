@@ -26,7 +26,7 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.tie_points import TiePoints
 from mgsgraph.geometry.altimetry import AltimeterShots
-from mgsgraph.geometry.body import geodetic
+from mgsgraph.geometry.body import ellipsoidal_heights
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.orientation import OrientationCorrection
@@ -347,7 +347,7 @@ def on_ground(
     image: PushbroomImage, places: Array, points: Array, correction: OrientationCorrection | None
 ) -> Array:
     """(n, 2, 2) metres along the flight and to its right per line and per sample, at the points' heights."""
-    height = geodetic(points, image.body)[:, 2]
+    height = ellipsoidal_heights(points, image.body)
     _, to_ground = image.image_to_ground(places[:, 0], places[:, 1], height, correction)
     up = unit_vectors(points)
     flight = image.pose(places[:, 0], correction).velocity
@@ -386,7 +386,7 @@ def _tie_heights(
             f"images {pair[0].name} and {pair[1].name}",
             f"parallel rays of the tie at line {line:.1f}, sample {sample:.1f}", "images from different places",
         )
-    return geodetic(points, pair[0].body)[:, 2]
+    return ellipsoidal_heights(points, pair[0].body)
 
 
 def _transfer(

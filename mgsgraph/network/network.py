@@ -8,6 +8,7 @@ import numpy as np
 
 from mgsgraph.errors import InputError, require
 from mgsgraph.files.networks.tie_points import PointKind
+from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior, Sine
 from mgsgraph.geometry.records import (
@@ -344,6 +345,11 @@ class Network(Record):
     @cached_property
     def _point_numbers(self) -> Mapping[str, int]:
         return numbered(self.points.ids)
+
+    @property
+    def body(self) -> Ellipsoid:
+        """Ellipsoid of the body that all images show."""
+        return self.images[0].body
 
     @property
     def image_names(self) -> list[str]:

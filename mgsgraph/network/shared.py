@@ -127,11 +127,6 @@ class SharedKind(StrEnum):
         return int(self[-1]) if self.startswith("radial distortion") else 0
 
     @property
-    def is_lever_arm(self) -> bool:
-        """Whether it is a place of an instrument along a camera's axes."""
-        return self.endswith("lever arm")
-
-    @property
     def moves_instrument(self) -> bool:
         """Whether it acts by where the camera of rays, or the laser of ranges, is or how it stands (`image_effect`)."""
         return self.moves_pose or self is SharedKind.ALTIMETER_LEVER_ARM
@@ -248,7 +243,7 @@ def image_effect(image: PushbroomImage, kind: SharedKind, angles: Angles) -> Arr
     if kind in (SharedKind.CAMERA_BORESIGHT, SharedKind.VIBRATION):
         for column in range(kind.width):
             effect[column, :, 3 + 3 * column // kind.width] = 1.0
-    elif kind.is_lever_arm:
+    elif kind.endswith("lever arm"):
         effect[:, :, :3] = np.swapaxes(pose.matrix, 0, 1)
     elif kind is SharedKind.LINE_RATE:
         later = _past_middle(image, lines)

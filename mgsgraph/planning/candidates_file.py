@@ -165,7 +165,7 @@ def _image(coverage: ImageCoverage, entry: CandidateImage, tables: CandidatesInp
         found = f"the image {entry.name!r}, which is in the network already"
         raise InputError(where, found, "a new image", "take it out of the candidates")
     image = read_image(entry, tables.spice, path.parent, where)
-    if image.body != coverage.network.images[0].body:
+    if image.body != coverage.network.body:
         raise InputError(where, "an image of another body than the network's", "one body")
     image = orientation.nominal_of(image)
     stated = f"{where}.orientation" if entry.orientation else f"{path}, orientation"
@@ -217,7 +217,7 @@ def _track(coverage: ImageCoverage, entry: CandidateProfile, where: str) -> _Sho
 def _of_lidar(coverage: ImageCoverage, entry: CandidateProfile, path: Path) -> _Shots:
     """Shots of ISIS lidar data that were taken along with one image of the network (or with the one named)."""
     profile = read_lidar(path)
-    require_on_body(profile.footprints, coverage.network.images[0].body, profile.source, profile.ids)
+    require_on_body(profile.footprints, coverage.network.body, profile.source, profile.ids)
     named = sorted(name for name in profile.simultaneous_image.used if name in coverage.views)
     if entry.image is None and len(named) > 1:
         raise InputError(str(path), f"shots simultaneous with {' and '.join(named)}", "one image", _NAME_THE_IMAGE)
@@ -231,7 +231,7 @@ def _of_lidar(coverage: ImageCoverage, entry: CandidateProfile, path: Path) -> _
 def _of_pedr(coverage: ImageCoverage, entry: CandidateProfile, path: Path) -> _Shots:
     """Shots of MOLA that fall in images: those taken along with one of them (or with the one named), if any were."""
     shots, views = read_shots(path), list(coverage.views.values())
-    require_on_body(shots.footprints, coverage.network.images[0].body, shots.source)
+    require_on_body(shots.footprints, coverage.network.body, shots.source)
     images, corrections = [view.image for view in views], [view.correction for view in views]
     hits = footprints_in_images(images, shots, corrections)
     if entry.image is not None:
@@ -250,10 +250,10 @@ def _control(coverage: ImageCoverage, entry: CandidateControl, path: Path, k: in
         raise InputError(where, found, "one of them")
     at = entry.longitude_deg * DEG, entry.latitude_deg * DEG
     if entry.height_m is not None:
-        place = from_geodetic(np.array([*at, entry.height_m]), coverage.network.images[0].body)
+        place = from_geodetic(np.array([*at, entry.height_m]), coverage.network.body)
     else:
         place = from_planetocentric(np.array([[*at, entry.radius_m]]))[0]
-    radius = coverage.network.images[0].body.equatorial
+    radius = coverage.network.body.equatorial
     if abs(float(np.linalg.norm(place)) - radius) > _FAR * radius:
         found = f"a point {np.linalg.norm(place):.6g} m from the body's centre"
         raise InputError(where, found, f"one near the ground, {radius:.6g} m from it", "give metres")

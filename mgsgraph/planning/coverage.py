@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.geometry.body import Ellipsoid, geodetic, surface_radii
+from mgsgraph.geometry.body import Ellipsoid, ellipsoidal_heights, surface_radii
 from mgsgraph.geometry.footprint import Footprint, footprint, overlaps
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.intersection import meet_terrain
@@ -86,7 +86,7 @@ class ImageCoverage(Record):
         self.state, self.network = state, network
         self.definitions = definitions(network)
         self.grid = None if network.surface is None else network.surface.grid
-        heights = geodetic(state.places, network.images[0].body)[:, 2]
+        heights = ellipsoidal_heights(state.places, network.body)
         self._height = float(np.median(heights))
         footprints = network_footprints(network, state.places, lambda j: state.correction(network.images[j].name))
         self.views = {
@@ -143,7 +143,7 @@ class ImageCoverage(Record):
 
     def below(self, places: Array, height: float) -> Array:
         """(n, 3) m, the ground below places (n, 3): on the terrain model, or at a height (m) above the ellipsoid."""
-        body = self.network.images[0].body
+        body = self.network.body
         up = unit_vectors(places)
         radius = surface_radii(up, Ellipsoid(body.equatorial + height, body.polar + height))
         if self.grid is not None:

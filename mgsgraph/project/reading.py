@@ -268,14 +268,11 @@ def oriented_images(path: Path, names: Sequence[str] = ()) -> OrientedImages:
     case_input = decode(path)
     known = [image.name for image in case_input.images]
     if names:
-        images = [_read_image(case_input, j, path) for j in _numbers_of(known, names, path)]
+        images = [case_input.orientations[j].nominal_of(image_of(case_input, j, path))
+                  for j in _numbers_of(known, names, path)]  # fmt: skip
     else:
         images = [*read_images(case_input, case_input.orientations, members(case_input.passes, known, str(path)), path)]
     return OrientedImages(tuple(map(View, images)), case=case_input)
-
-
-def _read_image(case_input: CaseInput, index: int, path: Path) -> PushbroomImage:
-    return case_input.orientations[index].nominal_of(image_of(case_input, index, path))
 
 
 def _numbers_of(known_names: Sequence[str], names: Sequence[str], path: Path) -> list[int]:

@@ -193,7 +193,7 @@ def curve_section(posterior: Posterior, image: str) -> Section:
 def raster_section(posterior: Posterior, images: tuple[str, ...], cell: float | None, sigma: float) -> Section:
     """Sigmas of new points, measured to `sigma` px, over the overlap of images (all when empty); cells of `cell` m."""
     grid = sigma_grid(posterior, images, cell, sigma)
-    body = posterior.network.images[0].body
+    body = posterior.network.body
 
     _, rows, columns = grid.values.shape
     record = {

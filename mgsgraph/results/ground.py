@@ -318,13 +318,9 @@ def minima_section(minima: Minima | None) -> Section:
     table = _minima_table(minima)
     return Section("minima", sentences=[sentence], tables=[table], numbers={
         "starts": minima.starts, "not_converged": minima.lost, "number": len(minima.each),
-        "shift_mean_east_north_m": minima.mean[:2], "shift_sigma_east_north_m": _horizontal_sigmas(minima.covariance),
+        "shift_mean_east_north_m": minima.mean[:2], "shift_sigma_east_north_m": sigmas_of(minima.covariance)[:2],
         "each": table.records(),
     })  # fmt: skip
-
-
-def _horizontal_sigmas(covariance: Array) -> Array:
-    return np.sqrt(np.diagonal(covariance)[:2])
 
 
 def _minima_table(minima: Minima) -> Table:
@@ -332,5 +328,5 @@ def _minima_table(minima: Minima) -> Table:
     all_minima = minima.each
     return table_of("minima", {
         "shift_east_north": np.array([minimum.shift[:2] for minimum in all_minima]),
-        "sigma_east_north": np.array([_horizontal_sigmas(minimum.spread) for minimum in all_minima]),
+        "sigma_east_north": np.array([sigmas_of(minimum.spread)[:2] for minimum in all_minima]),
     }, all_minima)  # fmt: skip

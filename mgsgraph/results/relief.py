@@ -12,7 +12,7 @@ from mgsgraph.adjustment.graph.variables import crossover_differences
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.files.output.folders import COREGISTRATION, fresh_folder
 from mgsgraph.files.output.table import Table, numbers
-from mgsgraph.geometry.body import east_north_up, geodetic, planetocentric
+from mgsgraph.geometry.body import east_north_up, ellipsoidal_heights, planetocentric
 from mgsgraph.geometry.records import Array, sigmas_of
 from mgsgraph.registration.minima import ProfileState, ReliefProfile, ReliefRegistration
 from mgsgraph.results.results import write_into
@@ -169,7 +169,7 @@ def relief_shots_table(registration: ReliefRegistration) -> Table:
         "shot": [network.points.ids[i] for profile in profiles for i in profile.points.tolist()],
         "on_surface": on_surface,
         "east_longitude": np.mod(longitude / DEG, 360.0), "planetocentric_latitude": latitude,
-        "height": geodetic(points, network.images[0].body)[:, 2],
+        "height": ellipsoidal_heights(points, network.body),
         "above_surface_before": np.concatenate([_covered_heights(profile.before) for profile in profiles]),
         "above_surface_after": np.concatenate([_covered_heights(profile.after) for profile in profiles]),
         "sigma": np.where(on_surface, np.concatenate([profile.sigmas for profile in profiles]), np.nan),

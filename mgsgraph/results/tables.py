@@ -18,7 +18,7 @@ from mgsgraph.analysis.statistics import PLACES, local_sigmas, rejected_points, 
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.files.output.table import Column, Table, padded, picked, write_parquet
 from mgsgraph.files.rasters.raster_file import geographic_crs
-from mgsgraph.geometry.body import Ellipsoid, east_north_up, geodetic, planetocentric
+from mgsgraph.geometry.body import Ellipsoid, east_north_up, ellipsoidal_heights, planetocentric
 from mgsgraph.geometry.records import Array, Index, sigmas_of
 from mgsgraph.names import RepeatedNames
 from mgsgraph.network import PointClass
@@ -43,7 +43,7 @@ def points_table(solution: Solution, rows: slice | Index = slice(None)) -> Table
         "kind": _member_names(PointKind, network.points.kinds[rows]), "rejected": rejected,
         "rays": network.ray_counts[rows], "rays_used": used_ray_counts(solution)[rows], "{}": places,
         "lon": longitude / DEG % 360.0, "lat": latitude, "radius": radius,
-        "height": geodetic(places, network.images[0].body)[:, 2],
+        "height": ellipsoidal_heights(places, network.body),
         "height_above_areoid": None if network.areoid is None else radius - network.areoid.at(places),
         "sigma_{} m": sigmas, "sigma_{} east/north/up": local_sigmas(covariances, places),
         "scaled_sigma_{}": sigmas * solution.sigma0, "cov_{}": covariances[:, a, b], "correction_{}": moved,
@@ -181,7 +181,7 @@ def write_large_tables(solution: Solution, folder: Path, requested: TableForm | 
         residuals_table(solution).write_csv(folder / names[1])
         return names
     points = with_points(points_table(solution), solution.places)
-    write_geoparquet(folder / names[0], [points], solution.network.images[0].body)
+    write_geoparquet(folder / names[0], [points], solution.network.body)
     write_parquet(folder / names[1], [residuals_table(solution)])
     return names
 

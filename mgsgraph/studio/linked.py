@@ -22,7 +22,7 @@ from scipy.spatial import KDTree
 
 from mgsgraph.analysis.places import terrain_slopes
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.body import east_north_up, error_ellipses, geodetic, planetocentric
+from mgsgraph.geometry.body import east_north_up, ellipsoidal_heights, error_ellipses, geodetic, planetocentric
 from mgsgraph.geometry.intersection import meet_terrain
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, finite_rows
@@ -153,7 +153,7 @@ class GroundModel:
 
     def _heights(self, points: Index) -> Array:
         """(k,) m above the ellipsoid, of some points with a place."""
-        return np.asarray(geodetic(self._block.places[points], self._block.images[0].body)[:, 2])
+        return np.asarray(ellipsoidal_heights(self._block.places[points], self._block.images[0].body))
 
     def _sigmas(self, points: Index) -> Array:
         """(k,) m, of the same."""

@@ -320,7 +320,7 @@ def residual_vectors(opened: Opened, image: str) -> dict[str, Any]:
         [(projected(block, j, places + _STEP * frames[:, k], measured[:, 0]) - base) / _STEP for k in range(2)], axis=-1
     )
     residuals = measured - base
-    solvable = np.flatnonzero(np.isfinite(slopes).all(axis=(1, 2)) & np.isfinite(residuals).all(axis=1))
+    solvable = np.flatnonzero(np.isfinite(slopes).all(axis=(1, 2)) & finite_rows(residuals))
     solvable = solvable[np.abs(np.linalg.det(slopes[solvable])) > 1e-12]
     moves = np.linalg.solve(slopes[solvable], residuals[solvable][..., None])[..., 0]
     return {

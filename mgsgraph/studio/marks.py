@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from mgsgraph.files.output.table import plain
-from mgsgraph.geometry.body import east_north_up, geodetic
+from mgsgraph.geometry.body import east_north_up, ellipsoidal_heights
 from mgsgraph.geometry.records import Array, Index, Mask, finite_rows, thinned
 from mgsgraph.geometry.terrain import areoid_heights
 from mgsgraph.network import PointClass
@@ -155,7 +155,7 @@ def _heights(block: Block, points: Array) -> Array:
     """(n,) m above the areoid where it is known, else above the ellipsoid."""
     if block.network.areoid is not None:
         return areoid_heights(points, block.network.areoid)
-    return np.asarray(geodetic(points, block.images[0].body)[:, 2])
+    return np.asarray(ellipsoidal_heights(points, block.images[0].body))
 
 
 def _near(block: Block, image: int, places: Array) -> Mask:

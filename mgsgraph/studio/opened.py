@@ -23,7 +23,7 @@ from mgsgraph.case.reading import picture_of, read_case
 from mgsgraph.errors import InputError, MgsgraphError, command_line, require
 from mgsgraph.files.networks.tie_points import TiePoints
 from mgsgraph.files.output.folders import PROJECT
-from mgsgraph.geometry.body import centre_of, geodetic, plane_coordinates
+from mgsgraph.geometry.body import centre_of, ellipsoidal_heights, plane_coordinates
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask, finite_rows, thinned
@@ -130,7 +130,7 @@ class Block:
     def median_height(self) -> float:
         """Height (m) above the ellipsoid, of some of the points; 0 where none has a place."""
         some = self.places[self.located[thinned(self.located.size, 10_000)]]
-        return float(np.median(geodetic(some, self.images[0].body)[:, 2])) if len(some) else 0.0
+        return float(np.median(ellipsoidal_heights(some, self.images[0].body))) if len(some) else 0.0
 
     @cached_property
     def rays_by_image(self) -> list[Index]:

@@ -374,7 +374,7 @@ def _starting_points(network: Network, crossing: Crossing | None) -> tuple[Array
     assert crossing is not None
     free, starts, angles = crossing
     where, remedy = "images and their ties", resection_remedy(network.images)
-    require_on_ground(starts[free], angles[free], network.images[0].body, where, remedy)
+    require_on_ground(starts[free], angles[free], network.body, where, remedy)
     unknown = ~finite_rows(starts)
     _start_on_the_ground(network, np.flatnonzero(free & unknown), starts)
     starts[unknown & ~free] = 0.0

@@ -104,7 +104,7 @@ def _near(network: Network, pass_: Pass) -> OrientationImages:
     if nodes.size == 0:
         return pass_.nodes
     first, last = max(int(nodes.min()) - 1, 0), int(nodes.max()) + SUPPORT + 1
-    return pass_.nodes.with_nodes_at(pass_.nodes.times[first:last])
+    return replace(pass_.nodes, times=pass_.nodes.times[first:last])
 
 
 class _Joint(NamedTuple):

@@ -18,7 +18,15 @@ from numpy.typing import NDArray
 from mgsgraph.errors import InputError, require
 from mgsgraph.files.datum import ellipsoid_of, require_surface, vertical_of
 from mgsgraph.files.rasters.raster_file import open_raster, raster_understood, read_band, require_in_file
-from mgsgraph.geometry.body import Ellipsoid, from_geodetic, from_planetocentric, geodetic, in_turn, planetocentric
+from mgsgraph.geometry.body import (
+    Ellipsoid,
+    ellipsoidal_heights,
+    from_geodetic,
+    from_planetocentric,
+    geodetic,
+    in_turn,
+    planetocentric,
+)
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import PostLattice, TerrainGrid, TerrainKind, between_nodes, window
 from mgsgraph.units import DEG, KM
@@ -249,7 +257,7 @@ class TerrainRaster:
     def _height(self, points: Array) -> Array:
         """(n,) m, of points (n, 3) above the reference."""
         if isinstance(self.reference, Ellipsoid):
-            return np.asarray(geodetic(points, self.reference)[:, 2])
+            return np.asarray(ellipsoidal_heights(points, self.reference))
         level = self.reference.at(points) if isinstance(self.reference, TerrainGrid) else self.reference
         return np.asarray(np.linalg.norm(points, axis=1) - level)
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.case.schema import CaseInput
 from mgsgraph.errors import InputError, errors_from
-from mgsgraph.geometry.body import east_north_up, geodetic
+from mgsgraph.geometry.body import east_north_up, ellipsoidal_heights
 from mgsgraph.geometry.records import Array, sigmas_of
 from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.matching.patches import Tile, ortho_patch
@@ -139,7 +139,7 @@ def expected_ground(posterior: Posterior, tables: CaseInput) -> tuple[float | No
     points = points[np.linalg.norm(points, axis=1) > 0.0]
     if tables.terrain_models or not len(points):
         return None, None
-    heights = geodetic(points, posterior.network.images[0].body)[:, 2]
+    heights = ellipsoidal_heights(points, posterior.network.body)
     return float(np.median(heights)), max(_LEAST_SIGMA, 2.0 * float(heights.std()))
 
 

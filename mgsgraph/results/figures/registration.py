@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from mgsgraph.files.pvl import cube_of, read_label
 from mgsgraph.files.rasters.pictures import Pixels, as_bytes, is_moc, read_picture
-from mgsgraph.geometry.body import geodetic
+from mgsgraph.geometry.body import ellipsoidal_heights
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
 from mgsgraph.network.footprints import Misregistration
@@ -160,7 +160,7 @@ def footprint_heights(profile: ProfileRegistration, image: PushbroomImage) -> tu
     heights = np.linalg.norm(shots.footprints, axis=1) - shots.areoid_radii
     if np.all(np.isfinite(heights)):
         return heights, "areoid"
-    return geodetic(shots.footprints, image.body)[:, 2], "ellipsoid"
+    return ellipsoidal_heights(shots.footprints, image.body), "ellipsoid"
 
 
 def _draw_picture(panel: Axes, pixels: Pixels | None, image: PushbroomImage) -> None:
