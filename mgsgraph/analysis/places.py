@@ -25,6 +25,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.intersection import meet_terrain
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask, finite_rows
+from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network import ImageRays
 from mgsgraph.network.corrections import designs
@@ -430,8 +431,7 @@ def _squares(body: Ellipsoid) -> Array:
 
 def upward(points: Array, body: Ellipsoid) -> Array:
     """(n, 3) unit vectors, upward from an ellipsoid."""
-    across = points / _squares(body)
-    return np.asarray(across / np.linalg.norm(across, axis=1, keepdims=True))
+    return unit_vectors(points / _squares(body))
 
 
 def terrain_slopes(

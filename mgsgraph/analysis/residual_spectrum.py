@@ -28,7 +28,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.analysis.residual_rows import ResidualRows, residual_rows
 from mgsgraph.errors import require
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, by_value
 from mgsgraph.kernel.rows import IMAGE
 from mgsgraph.record import Record
 from mgsgraph.text import some
@@ -140,7 +140,7 @@ def residual_series(of: Solution | Linearised, fewest: int) -> Residuals:
     if rays.back_projected is not None:
         of_rays = of_rays[~rays.back_projected[rows.measure[of_rays]]]
     image = rays.image[rows.measure[of_rays]]
-    series = [of_turn for j in np.unique(image).tolist() for of_turn in _of_image(rows, j, of_rays[image == j], fewest)]
+    series = [of_turn for j, seen in by_value(image) for of_turn in _of_image(rows, j, of_rays[seen], fewest)]
     require(series, "residuals over time", f"no image with {fewest} rays that took part", "ties matched densely")
     return Residuals(rows, _pixels(rows, rows.residuals), tuple(series))
 

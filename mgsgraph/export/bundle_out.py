@@ -26,7 +26,7 @@ from mgsgraph.files.output.table import picked, quoted
 from mgsgraph.files.writing import write_files
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import in_turn, planetocentric
-from mgsgraph.geometry.records import Array, finite_rows
+from mgsgraph.geometry.records import Array, by_value, finite_rows
 from mgsgraph.geometry.trajectory import Trajectory
 from mgsgraph.network import Network, PointClass, PolynomialPrior
 from mgsgraph.network.corrections import designs
@@ -284,8 +284,7 @@ def _residuals_csv(solution: Solution) -> str:
     order = np.lexsort((rays.point, laser[rays.point]))
     order = order[finite_rows(solution.residuals[order])]
     focal = np.empty((rays.point.size, 2))
-    for j in np.unique(rays.image).tolist():
-        of_image = rays.image == j
+    for j, of_image in by_value(rays.image):
         focal[of_image], _ = solution.image(j).interior.focal_plane(rays.places[of_image, 1])
     residuals = solution.residuals[:, ::-1]
     magnitude = np.hypot(residuals[:, 0], residuals[:, 1])

@@ -207,8 +207,7 @@ def _parameter_design(places: Array, times: Array, tables: RefinedTables, scales
     """
     motion = np.column_stack([np.interp(times, tables.position_times, axis) for axis in tables.velocities.T])
     radial = unit_vectors(places)
-    across = np.cross(places, motion)
-    across /= np.linalg.norm(across, axis=1)[:, None]
+    across = unit_vectors(np.cross(places, motion))
     axes = np.stack([np.cross(across, radial), across, radial], axis=2)
     since = (times - tables.position_times[0]) / scales["m_halfTime"]
     turned = (times - tables.attitude_times[0]) / scales["m_halfTime"]

@@ -164,8 +164,7 @@ def _interpolation_errors(
         true = pose_at(image, correction, between)
         for place in (_windows(nodes.position) @ weights, cubic.at(between)[0]):
             position = max(position, _largest(place - true.position))
-        lagrange = _windows(quaternions) @ weights
-        lagrange /= np.linalg.norm(lagrange, axis=1)[:, None]
+        lagrange = rotation.unit_vectors(_windows(quaternions) @ weights)
         for matrix in (rotation.to_matrix(lagrange), uniform.at(between)[0]):
             attitude = max(attitude, _largest(rotation.logarithm(matrix @ true.matrix.mT)))
     return position, attitude

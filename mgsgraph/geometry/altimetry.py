@@ -393,8 +393,9 @@ class AltimeterShots(Record):
         n = self.times.size
         ids = self.ids
         broad = pulse_share * _HALF_LIGHT * np.nan_to_num(self.pulses)
-        beams = np.where(np.isfinite(self.spacecraft), self.footprints - self.spacecraft, -self.footprints)
-        beams /= np.linalg.norm(beams, axis=1, keepdims=True)
+        beams = unit_vectors(
+            np.where(np.isfinite(self.spacecraft), self.footprints - self.spacecraft, -self.footprints)
+        )
         covariances = footprint_covariances(self.footprints, ground_sigma, height_sigma or ground_sigma)
         sigmas, covariances, shares = with_common_errors(range_sigma, covariances, broad[:, None] * beams)
         return LaserProfile(

@@ -383,15 +383,13 @@ def _authalic(points: Array, body: Ellipsoid) -> tuple[Array, float]:
 
 def _middles(outlines: Array) -> Array:
     """Mean directions (m, 3) of outlines (m, k, 3)."""
-    middles = outlines.mean(axis=1)
-    return unit_vectors(middles)
+    return unit_vectors(outlines.mean(axis=1))
 
 
 def _tangents(centres: Array) -> tuple[Array, Array]:
     """Two unit vectors (m, 3) each, square to unit vectors (m, 3) and to each other."""
     axis = np.eye(3)[np.argmin(np.abs(centres), axis=1)]
-    first = np.cross(axis, centres)
-    first /= np.linalg.norm(first, axis=1)[:, None]
+    first = unit_vectors(np.cross(axis, centres))
     return first, np.cross(centres, first)
 
 
@@ -413,8 +411,7 @@ def _polygon_pairs(outlines: Array, pairs: Index, radius: float) -> tuple[NDArra
     middles = _middles(outlines)
     between = middles[pairs].sum(axis=1)
     length = np.linalg.norm(between, axis=1)
-    between = np.where(length[:, None] > 1e-6, between, middles[pairs[:, 0]])  # antipodes have no middle
-    between /= np.linalg.norm(between, axis=1)[:, None]
+    between = unit_vectors(np.where(length[:, None] > 1e-6, between, middles[pairs[:, 0]]))  # antipodes have no middle
     return _polygons(outlines[pairs[:, 0]], between, radius), _polygons(outlines[pairs[:, 1]], between, radius)
 
 

@@ -1,6 +1,6 @@
 """Construction of records: their arrays are copied to read-only float64 and checked once."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
@@ -61,6 +61,12 @@ def finite_rows(values: Array) -> Mask:
 def sigmas_of(covariances: Array) -> Array:
     """(..., k) standard deviations, of covariances (..., k, k)."""
     return np.asarray(np.sqrt(np.diagonal(covariances, axis1=-2, axis2=-1)))
+
+
+def by_value(values: Index) -> Iterator[tuple[int, Index]]:
+    """Each number that occurs, from the least on, and where it does."""
+    for value in np.unique(values).tolist():
+        yield value, np.flatnonzero(values == value)
 
 
 def thinned(size: int, most: int | None) -> Index:

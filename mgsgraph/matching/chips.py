@@ -16,7 +16,7 @@ from mgsgraph.files.networks.tie_points import TiePoints
 from mgsgraph.geometry.body import east_north, ellipsoidal_heights
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.intersection import intersect_rays
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.records import Array, Index, Mask, by_value
 from mgsgraph.matching.scene import Pixels
 from mgsgraph.network.observations import require_inside
 from mgsgraph.workers import Count, no_progress
@@ -99,14 +99,12 @@ def chip_frames(images: Sequence[PushbroomImage], ties: TiePoints) -> ChipFrames
     n, point = len(ties.ids), ties.measure_point
     image = _images_of(images, ties)
     origins, directions = np.empty((2, point.size, 3))
-    for j in np.unique(image):
-        of_image = image == j
+    for j, of_image in by_value(image):
         origins[of_image], directions[of_image] = images[j].sightlines(*ties.measures[of_image].T)
     positions, skew, _ = intersect_rays(origins, directions, point, n)
     heights = _heights(images, positions)
     to_ground = np.empty((point.size, 2, 2))
-    for j in np.unique(image):
-        of_image = np.flatnonzero(image == j)
+    for j, of_image in by_value(image):
         ground, by_pixel = images[j].image_to_ground(*ties.measures[of_image].T, heights[point[of_image]])
         to_ground[of_image] = east_north(ground) @ by_pixel
     size = np.sqrt(np.abs(np.linalg.det(to_ground)))

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mgsgraph.errors import require
-from mgsgraph.geometry.records import Array, Index, assign, frozen, frozen_index
+from mgsgraph.geometry.records import Array, Index, assign, by_value, frozen, frozen_index
 from mgsgraph.network.records import ImageRays, LinearRows, Surface
 from mgsgraph.record import Record
 
@@ -84,9 +84,7 @@ class CommonErrors(Record):
 
     def by_width(self) -> Iterator[tuple[Index, Array]]:
         """Rows whose groups have as many factors, and their loads (k, width)."""
-        widths = self.widths[self.group]
-        for width in np.unique(widths).tolist():
-            rows = np.flatnonzero(widths == width)
+        for width, rows in by_value(self.widths[self.group]):
             yield rows, self.loads[rows, :width]
 
 

@@ -11,7 +11,8 @@ from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.camera import NoDistortion
 from mgsgraph.geometry.intersection import image_steps
 from mgsgraph.geometry.orientation import Angles, polynomial
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, by_value
+from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.network.corrections import interior_effect, radius_of
 from mgsgraph.network.network import Network
 from mgsgraph.network.records import LinearRows
@@ -152,8 +153,7 @@ def common_looks(network: Network) -> list[tuple[Index, Array]]:
     for rows, loads in common.by_width():
         members = common.members[rows]
         pixel = np.empty((rows.size, 2, 2))
-        for j in np.unique(rays.image[members]).tolist():
-            of_image = np.flatnonzero(rays.image[members] == j)
+        for j, of_image in by_value(rays.image[members]):
             lines, samples = rays.places[members[of_image]].T
             pixel[of_image] = image_steps(network.images[j], lines, samples, network.axes_of(j))
         pixel *= rays.sigmas[members][:, None]
@@ -224,12 +224,12 @@ def footprint_motion(network: Network, shared: SharedUnknown) -> tuple[Index, Ar
         places = network.points.places[points]
         if shared.kind is SharedKind.PROFILE_DRIFT:
             return points, along_track(places)[:, None, None] * east_north(places)
-        up = places / np.linalg.norm(places, axis=1, keepdims=True)
+        up = unit_vectors(places)
         return points, np.stack([up, along_track(places)[:, None] * up], axis=1)
     points, chosen = network.beams(shared)
     ranges, motion = network.ranges.chosen(chosen), np.empty((points.size, 3, 3))
-    for j in np.unique(ranges.image).tolist():
-        of_image, image = ranges.image == j, network.images[j]
+    for j, of_image in by_value(ranges.image):
+        image = network.images[j]
         since = ranges.times[of_image] - image.trajectory.epoch
         if shared.kind is SharedKind.ALTIMETER_LEVER_ARM:
             motion[of_image] = image.trajectory.pose(since).matrix

@@ -351,8 +351,7 @@ def on_ground(
     _, to_ground = image.image_to_ground(places[:, 0], places[:, 1], height, correction)
     up = unit_vectors(points)
     flight = image.pose(places[:, 0], correction).velocity
-    along = flight - np.einsum("ni,ni->n", flight, up)[:, None] * up
-    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    along = unit_vectors(flight - np.einsum("ni,ni->n", flight, up)[:, None] * up)
     return np.asarray(np.stack([along, np.cross(along, up)], axis=1) @ to_ground)
 
 

@@ -16,7 +16,7 @@ from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import target_name
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationImages, Sine
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, by_value
 from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.names import numbered
@@ -74,8 +74,7 @@ def nominal_poses(images: Sequence[PushbroomImage], times: Array, axes: Array | 
     beyond = np.maximum(edges[:, :1] - times, times - edges[:, 1:])
     owner = np.maximum(beyond, 0.0).argmin(axis=0)
     parts = [np.empty((times.size, *shape)) for shape in ((3,), (3,), (3, 3), (3,))]
-    for j in np.unique(owner).tolist():
-        chosen = np.flatnonzero(owner == j)
+    for j, chosen in by_value(owner):
         trajectory = images[j].trajectory
         pose = trajectory.pose(np.clip(times[chosen] - trajectory.epoch, *trajectory.coverage))
         pose = pose.in_axes(None if axes is None else axes[j])

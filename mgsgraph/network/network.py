@@ -16,6 +16,7 @@ from mgsgraph.geometry.records import (
     Index,
     Mask,
     assign,
+    by_value,
     frozen,
     frozen_index,
     frozen_mask,
@@ -236,8 +237,7 @@ class Network(Record):
             assign(self, surface=replace(self.surface, sigmas=read_only(heights)))
 
     def _require_shots_covered(self) -> None:
-        for j in np.unique(self.ranges.image):
-            chosen = np.flatnonzero(self.ranges.image == j)
+        for j, chosen in by_value(self.ranges.image):
             trajectory = self.images[j].trajectory
             since = self.ranges.times[chosen] - trajectory.epoch
             start, stop = trajectory.coverage

@@ -305,8 +305,7 @@ def _moved(pair: StereoPair, footprints: Array, sigmas: Array, most: int) -> _Mo
     ways = east_north(points).mT
     up = unit_vectors(points)
     rays = -pair.images[0].sightlines(places[:, 0], places[:, 1], pair.corrections[0])[1]
-    epipolar = np.einsum("nij,nj->ni", other_by_point, rays)
-    epipolar /= np.linalg.norm(epipolar, axis=1, keepdims=True)
+    epipolar = unit_vectors(np.einsum("nij,nj->ni", other_by_point, rays))
     _, slopes = pair.surface.disparity(places)
     parallax = np.einsum("ni,nij,nj->n", epipolar, other_by_point - slopes @ by_point, up)
     number = rows[visible].astype(np.float64)

@@ -22,7 +22,7 @@ from mgsgraph.geometry.altimetry import require_on_body
 from mgsgraph.geometry.footprint import eastward_bounds, footprint, overlaps
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
-from mgsgraph.geometry.records import Array, Index, finite_rows, sigmas_of
+from mgsgraph.geometry.records import Array, Index, by_value, finite_rows, sigmas_of
 from mgsgraph.geometry.trajectory import utc_of_tdb
 from mgsgraph.network import Network, NodePrior, Pass, PointClass, SharedKind
 from mgsgraph.network.connectivity import (
@@ -381,8 +381,7 @@ def outlying_ranges(network: Network, values: Array) -> Index:
     along them, and so are in the spread that is estimated from the median deviation.
     """
     ranges, outlying = network.ranges, np.zeros(values.size, dtype=bool)
-    for j in np.unique(ranges.image):
-        of_image = ranges.image == j
+    for _, of_image in by_value(ranges.image):
         offsets = np.abs(values[of_image] - np.median(values[of_image]))
         outlying[of_image] = offsets > _OUTLYING * np.hypot(ranges.sigmas[of_image],
                                                             np.median(offsets) / _MEDIAN_DEVIATION)

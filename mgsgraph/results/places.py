@@ -15,6 +15,7 @@ from mgsgraph.files.place_table import PlaceTable
 from mgsgraph.files.writing import begins
 from mgsgraph.geometry.body import Ellipsoid, geodetic, planetocentric, require_near
 from mgsgraph.geometry.records import Array, Mask, sigmas_of
+from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.geometry.trajectory import utc_of_tdb, utc_texts
 from mgsgraph.names import RepeatedNames
@@ -112,7 +113,7 @@ def _seen_over_terrain(view: View, points: Array, terrain: TerrainGrid | None) -
 def _seen_at_neighbor_heights(view: View, ground: Array) -> Places:
     """Ground places in the image, raised from the ellipsoid (n, 3) in m to the height of adjusted points about them."""
     heights, height_sigmas = view.heights_at(ground)
-    vertical = ground / np.linalg.norm(ground, axis=1, keepdims=True)
+    vertical = unit_vectors(ground)
     projected, projected_higher = (view.seen(ground + (heights + rise)[:, None] * vertical) for rise in (0.0, 1.0))
     shifts = (projected_higher.pixels - projected.pixels) * height_sigmas[:, None]
     assert projected.covariances is not None

@@ -93,29 +93,18 @@ class MapPoints:
     def value(self, name: str) -> Array:
         """(n,) a value of the points, one of `VALUES`; NaN where unknown."""
         require(name in VALUES, "request, value", repr(name)[:60], f"one of {', '.join(VALUES)}")
+        rays, count = self.block.network.rays, len(self.classes)
         makers: dict[str, Callable[[], Array]] = {
             "sigma": lambda: np.sqrt(np.trace(self.local, axis1=1, axis2=2)),
             "sigma_horizontal": lambda: np.sqrt(self.local[:, 0, 0] + self.local[:, 1, 1]),
             "sigma_up": lambda: np.sqrt(self.local[:, 2, 2]),
             "moved_horizontal": lambda: np.hypot(self.moved[:, 0], self.moved[:, 1]),
             "moved_up": lambda: self.moved[:, 2],
-            "residual": self._residual,
-            "rays": self._rays,
-            "wtest": self._wtest,
+            "residual": lambda: largest(np.linalg.norm(ray_residuals(self.opened), axis=1), rays.point, count),
+            "rays": lambda: np.bincount(rays.point[self.block.used], minlength=count).astype(float),
+            "wtest": lambda: largest(ray_tests(self.opened)[0], rays.point, count),
         }
         return self.opened.once(f"value {name}", makers[name])
-
-    def _rays(self) -> Array:
-        return np.bincount(self.block.network.rays.point[self.block.used], minlength=len(self.classes)).astype(float)
-
-    def _residual(self) -> Array:
-        """(n,) px, largest image residual of each point."""
-        size = np.linalg.norm(ray_residuals(self.opened), axis=1)
-        return largest(size, self.block.network.rays.point, len(self.classes))
-
-    def _wtest(self) -> Array:
-        """(n,) largest |w| of the image measures of each point."""
-        return largest(ray_tests(self.opened)[0], self.block.network.rays.point, len(self.classes))
 
     # --- windows
 

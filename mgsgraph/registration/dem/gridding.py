@@ -294,8 +294,7 @@ class MapGrid(Record):
     def frames(self, points: Array) -> Array:
         """(n, 3, 3) unit vectors along x, along y and upward at points (n, 3) in m, body-fixed."""
         up = unit_vectors(points)
-        x = self.chart.axes[0] - (up @ self.chart.axes[0])[:, None] * up
-        x /= np.linalg.norm(x, axis=1, keepdims=True)
+        x = unit_vectors(self.chart.axes[0] - (up @ self.chart.axes[0])[:, None] * up)
         return np.stack([x, np.cross(up, x), up], axis=1)
 
 
