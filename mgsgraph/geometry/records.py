@@ -53,12 +53,12 @@ def repeats(values: NDArray[Any]) -> bool:
     return values.size > 1 and not any(values.strides)
 
 
-def finite_rows(values: Array) -> Mask:
+def finite_rows(values: NDArray[Any]) -> Mask:
     """(n,) whether all numbers of a row of (n, k) are finite."""
     return np.asarray(np.all(np.isfinite(values), axis=1))
 
 
-def sigmas_of(covariances: Array) -> Array:
+def sigmas_of(covariances: NDArray[Any]) -> Array:
     """(..., k) standard deviations, of covariances (..., k, k)."""
     return np.asarray(np.sqrt(np.diagonal(covariances, axis1=-2, axis2=-1)))
 

@@ -379,7 +379,7 @@ def _level_slopes(points: Array, by_point: Array, other_by_point: Array) -> Arra
     """(n, 2, 2) derivative of the disparity by the position in the first image, of level ground at points (n, 3)."""
     ways = east_north(points).mT
     first, second = ((part @ ways).mT for part in (by_point, other_by_point))
-    return np.linalg.solve(first, second).mT
+    return np.swapaxes(np.linalg.solve(first, second), 1, 2)
 
 
 # --- as files hold them

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.errors import InputError, require
-from mgsgraph.geometry.records import Array, Index, Mask, finite_rows
+from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.terrain import between_nodes
 from mgsgraph.matching.coarse import robust_sigma
 from mgsgraph.matching.equations import SplinePicture
@@ -139,7 +139,7 @@ def _start(
     slopes = np.clip([slope[down, across] for slope in _slopes(shift)], -_STEEPEST, _STEEPEST)
     turn[:, 0, 0], turn[:, 0, 1], turn[:, 1, 1] = 1.0 - slopes[1], -slopes[0], 1.0
     affine = by_plane[1] @ turn @ np.linalg.inv(by_plane[0])
-    good = finite_rows(np.concatenate([first, second, affine.reshape(-1, 4)], axis=1))
+    good = np.isfinite(np.concatenate([first, second, affine.reshape(-1, 4)], axis=1)).all(axis=1)
     whole = _Start(post[0], post[1], disparity, first, second, affine, by_plane[1])
     return _Start(*(column[good] for column in whole))
 

@@ -309,7 +309,7 @@ def _fill_ground(network: Network, store: _Store, weight: Array) -> None:
     if with_prior.size == 0:
         return
     information = np.linalg.solve(network.points.covariances[with_prior], np.eye(3))
-    root = np.linalg.cholesky(0.5 * (information + information.mT)).mT
+    root = np.swapaxes(np.linalg.cholesky(0.5 * (information + information.mT)), 1, 2)
     place, stride, among = store.place(with_prior, _observations_before(network)[with_prior])
     store.put(place, stride, 0, network.points.places[with_prior])
     store.put(place, stride, 3, root[:, *np.triu_indices(3)])

@@ -231,7 +231,7 @@ def test_what_contradicts_a_pass_is_one_line_and_changes_nothing() -> None:
     refused(replace(right, images=(late,), passes=(replace(right.passes[0], nodes=nodes),)), "minutes apart")
     again = replace(left, passes=(replace(left.passes[0], name="another"),))
     refused(again, "an image that is there already")
-    refuses("it is held", adjustment.add, replace(right, held=np.array([True])))
+    refuses("it is held", replace, right, held=np.array([True]))
     other = replace(right.shared[0], sigmas=2.0 * right.shared[0].sigmas)
     adjustment.add(right)
     with pytest.raises(InputError, match="sigmas in one part other than in another"):
