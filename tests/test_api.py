@@ -165,7 +165,7 @@ def test_no_parameter_takes_a_number_where_it_takes_no_name(function: Any, name:
 
 def test_names_and_numbers_give_the_same(solution: Solution) -> None:
     posterior, net = mgsgraph.Posterior.of(solution), solution.network
-    for j, image in enumerate(image.name for image in net.images):
+    for j, image in enumerate(net.image_names):
         assert net.image_number(image) == net.image_number(np.int64(j)) == j
         assert solution.image(image).name == posterior.image(j).name == image
         np.testing.assert_array_equal(solution.correction(image).coefficients, solution.correction(j).coefficients)

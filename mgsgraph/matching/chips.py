@@ -105,7 +105,8 @@ def chip_frames(images: Sequence[PushbroomImage], ties: TiePoints) -> ChipFrames
     heights = _heights(images, positions)
     to_ground = np.empty((point.size, 2, 2))
     for j, of_image in by_value(image):
-        ground, by_pixel = images[j].image_to_ground(*ties.measures[of_image].T, heights[point[of_image]])
+        lines, samples = ties.measures[of_image].T
+        ground, by_pixel = images[j].image_to_ground(lines, samples, heights[point[of_image]])
         to_ground[of_image] = east_north(ground) @ by_pixel
     size = np.sqrt(np.abs(np.linalg.det(to_ground)))
     spacing = np.full(n, -np.inf)

@@ -148,7 +148,7 @@ def left_out(solution: Solution, number: int) -> tuple[Array, Array, Array, Arra
     network = solution.network
     ties = network.points.classes[network.rays.point] == PointClass.TIE
     errors, sigmas, own, beyond = [], [], [], []
-    low, high = np.nanmin(heights := geodetic(solution.places, network.images[0].body)[:, 2]), np.nanmax(heights)
+    low, high = np.nanmin(heights := geodetic(solution.places, network.body)[:, 2]), np.nanmax(heights)
     for k in np.flatnonzero((network.rays.image == number) & solution.rays_used & ties):
         point = network.rays.point[k]
         others = solution.determined & (np.arange(len(network.points)) != point)
@@ -192,7 +192,7 @@ def test_heights_about_a_place_are_honest_against_a_truth() -> None:
     with TemporaryDirectory() as folder:
         found = mgsgraph.adjust(mgsgraph.read_case(Path(write_pair(pair, Path(folder)))))
     checked(found, 0, 100.0)
-    view, true = View.adjusted(found, 0), geodetic(pair.true_ties, found.network.images[0].body)[:, 2]
+    view, true = View.adjusted(found, 0), geodetic(pair.true_ties, found.network.body)[:, 2]
     normalised = []
     for k in range(len(true)):
         others = replace(found, determined=found.determined & (np.arange(len(found.places)) != k))
@@ -284,7 +284,7 @@ def test_with_the_orientation_held_sigmas_go_with_those_of_the_measures() -> Non
 
 
 def test_what_makes_no_raster_is_refused() -> None:
-    names = [image.name for image in posterior().network.images]
+    names = posterior().network.image_names
     refuses("two or more different images", sigma_grid, posterior(), [names[0], names[0]])
     refuses(r"cells of .* at most; choose larger cells", sigma_grid, posterior(), names, cell=0.5)
     refuses("image nowhere: no such image", sigma_grid, posterior(), [names[0], "nowhere"])

@@ -165,7 +165,7 @@ def pose_jacobian(posterior: Posterior, image: int, line: float) -> np.ndarray:
 def test_poses_and_pairs_of_poses_have_the_dense_covariance(name: str) -> None:
     whole = dense(solved(name))
     posterior = whole.posterior
-    names = [image.name for image in posterior.network.images]
+    names = posterior.network.image_names
     lines = [0.0, 700.0]
     jacobians = [pose_jacobian(posterior, j, line) for j, line in enumerate(lines)]
     for j in range(2):
@@ -344,7 +344,7 @@ def measures(posterior: Posterior, names: Sequence[str]) -> dict[tuple[str, int,
         name = posterior.network.points.ids[int(every.point[k])]
         if name in names:
             image = posterior.network.images[int(every.image[k])].name
-            key = name, [one.name for one in small().network.images].index(image), int(every.component[k])
+            key = name, small().network.image_names.index(image), int(every.component[k])
             found[key] = float(every.redundancy[k]), float(every.test[k]), float(every.detectable[k])
     return found
 

@@ -59,7 +59,7 @@ def edited(case_file: Path, *edits: Edit) -> Path:
 def test_a_case_becomes_a_network(case_file: Path) -> None:
     case = mgsgraph.read_case(case_file)
     net = case.network
-    assert [image.name for image in net.images] == ["SIM/A", "SIM/B"]
+    assert net.image_names == ["SIM/A", "SIM/B"]
     assert len(net.points) == 28
     assert net.rays.point.size == 56
     assert net.ranges.point.size == 8

@@ -548,7 +548,7 @@ def test_labels_of_one_pass_are_read_on_one_trajectory(shared_data: Path, tmp_pa
 
     assert apart[0].trajectory is not apart[1].trajectory
     assert net.images[0].trajectory is net.images[1].trajectory
-    assert [image.name for image in net.images] == list(names)
+    assert net.image_names == list(names)
     assert net.images[0].interior.focal_length == pytest.approx(0.17482)
     assert net.images[1].interior.focal_length == 0.17
     places = np.array([0.0, 7000.3, LINES]), np.array([3.0, 600.0, 1288.0])

@@ -187,7 +187,7 @@ def test_a_project_has_the_surfaces_from_then_on(
     monkeypatch.setattr(project_relief, "register_by_relief", registered)
     assert call("align", project, "--no-figures", "--search", 600) == 0
     case, settings = given
-    assert {image.name for image in case.network.images} == set(settings.images)
+    assert set(case.network.image_names) == set(settings.images)
     assert case.network.stereo is None
     assert len(case.network.points) == len(registration.solution.network.points)
     assert {path.name for path in (project / "solutions" / "0001").iterdir()} == TABLES

@@ -50,7 +50,7 @@ def test_products_are_known_however_they_are_written() -> None:
 def test_support_data_by_name_take_the_serial_number_of_their_label(shared_data: Path, tmp_path: Path) -> None:
     folder, out = shared_data / "lro_nac_lola", tmp_path / "case.toml"
     draft_case([*folder.glob("lidarObservationImage?.isd"), folder / "network.pvl"], out)
-    images = [image.name for image in mgsgraph.read_case(out).network.images]
+    images = mgsgraph.read_case(out).network.image_names
     assert images == ["LRO/1/286265995:36824/NACL", "LRO/1/286272781:34203/NACL"]
 
 

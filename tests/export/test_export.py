@@ -185,7 +185,7 @@ def test_free_points_are_matches(solved: Solution, tmp_path: Path) -> None:
 
 def test_control_points_are_as_given_and_adjusted_ones_as_adjusted(solved: Solution, tmp_path: Path) -> None:
     write_asp(solved, tmp_path)
-    net, body = solved.network, solved.network.images[0].body
+    net, body = solved.network, solved.network.body
     control, adjusted = (read_ground_control(tmp_path / f"{name}.gcp", body) for name in ("control", "adjusted"))
     given = np.flatnonzero(net.points.kinds == PointKind.CONSTRAINED)
     np.testing.assert_allclose(control.places, net.points.places[given], atol=1e-6, rtol=0.0)
@@ -213,7 +213,7 @@ def test_rejected_measures_are_left_out(solved: Solution, tmp_path: Path) -> Non
 
 
 def test_lists_go_together_and_name_files_that_are_there(solved: Solution, tmp_path: Path) -> None:
-    names = [image.name for image in solved.network.images]
+    names = solved.network.image_names
     files = write_asp(solved, tmp_path, {names[1]: "cubes/other.cub"})
     images, cameras = ((tmp_path / f"{name}.txt").read_text().split() for name in ("images", "cameras"))
     assert len(images) == len(cameras) == len(names)
@@ -226,7 +226,7 @@ def test_lists_go_together_and_name_files_that_are_there(solved: Solution, tmp_p
 
 def test_cameras_are_called_like_the_files_of_their_images(solved: Solution, tmp_path: Path) -> None:
     """Support data are no pixels: the cube of that name is meant."""
-    names = [image.name for image in solved.network.images]
+    names = solved.network.image_names
     write_asp(solved, tmp_path, {names[0]: "first.isd", names[1]: "cubes/second.tif"})
     images, cameras = ((tmp_path / f"{name}.txt").read_text().split() for name in ("images", "cameras"))
     assert images[:2] == ["first.cub", "cubes/second.tif"]
@@ -256,7 +256,7 @@ def test_without_free_or_control_points(solved: Solution, tmp_path: Path) -> Non
     ],
 )
 def test_files_that_cant_be_told_apart(solved: Solution, tmp_path: Path, images: dict, said: str) -> None:
-    names = [image.name for image in solved.network.images]
+    names = solved.network.image_names
     asked = {names[key] if isinstance(key, int) else key: file for key, file in images.items()}
     refuses(said, write_asp, solved, tmp_path, asked)
     assert not list(tmp_path.iterdir())

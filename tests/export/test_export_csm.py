@@ -156,7 +156,7 @@ def test_other_optics_and_lines_that_run_the_other_way_come_back(tmp_path: Path)
 def test_real_images_come_back_with_what_their_own_support_data_say(shared_data: Path, tmp_path: Path) -> None:
     solution = adjust(read_case(LRO))
     paths = [shared_data / "lro_nac_lola" / f"lidarObservationImage{k}.isd" for k in (1, 2)]
-    names = [image.name for image in solution.network.images]
+    names = solution.network.image_names
     files = write_csm(solution, tmp_path, dict(zip(names, paths, strict=True)))
     wanted = reprojection(solution)
     assert csm_differences(tmp_path, wanted).max() < 1e-3
@@ -409,7 +409,7 @@ def test_support_data_of_another_image_are_refused(tables: Written, tmp_path: Pa
 def test_reference_heights_are_those_of_the_points(tmp_path: Path) -> None:
     solution = adjust_network(network(pair()), SolverSettings(), "pair")
     write_csm(solution, tmp_path)
-    heights = geodetic(solution.places, solution.network.images[0].body)[:, 2]
+    heights = geodetic(solution.places, solution.network.body)[:, 2]
     for path in support_data_in(tmp_path):
         said = json.loads(path.read_text())["reference_height"]
         assert said["minheight"] <= heights.min() - 100.0 < said["minheight"] + 1.0

@@ -337,7 +337,7 @@ def test_corrections_run_from_before_to_after(solution: Solution, written: Path)
 
 def test_misregistration_is_where_the_nominal_orientation_shows_it(solution: Solution, written: Path) -> None:
     found, net = layer(written, "misregistration"), solution.network
-    names = [image.name for image in net.images]
+    names = net.image_names
     laser = solution.members(PointClass.LASER)
     for j, image in enumerate(net.images):  # all that it sees, and nothing else
         seen, _ = solution.image(j).ground_to_image(solution.places[laser], solution.correction(j))

@@ -395,7 +395,7 @@ def test_a_blunder_of_batch_is_accepted_until_batch_judges_anew(folder: Path) ->
         members = project.store.bundles_of([name])[name]
         bundle = project.store.bundle(members)
         rays, (k,) = bundle.network.rays, bundle.network.points.ids.find([name])
-        j = [one.name for one in bundle.network.images].index(image)
+        j = bundle.network.image_names.index(image)
         marked = bundle.network.with_rejected((rays.point == k) & (rays.image == j), None)
         project.store.replace([members], {members: replace(bundle, network=marked)})
         state = edits.point_state(project, name)

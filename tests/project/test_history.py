@@ -122,7 +122,7 @@ def held(project: Project) -> dict[Ray, Value]:
     if not project.store.members():
         return {}
     network = project.store.network()
-    names = [image.name for image in network.images]
+    names = network.image_names
     rows = zip(network.rays.point.tolist(), network.rays.image.tolist(), strict=True)
     values = np.column_stack([network.rays.places, network.rays.sigmas[:, 0]]).tolist()
     return {(network.points.ids[i], names[j]): tuple(value) for (i, j), value in zip(rows, values, strict=True)}

@@ -122,7 +122,7 @@ def test_all_of_it_as_one_network(store: ProjectStore) -> None:
 
 def described(net: Network) -> list[tuple[object, ...]]:
     """Its points and rows by name, in order."""
-    ids, names = net.points.ids, [image.name for image in net.images]
+    ids, names = net.points.ids, net.image_names
     assert net.shifts is not None
     assert net.surface is not None
     assert set(net.considered) == set(net.shift_names)

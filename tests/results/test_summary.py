@@ -152,7 +152,7 @@ def test_what_drives_an_adjustment_that_stopped_is_in_every_form_of_its_results(
     assert "drivers.csv" in write_results(stopped, tmp_path / "result", figures=False)
     rows = rows_of(tmp_path / "result" / "drivers.csv")
     assert solution_json(stopped)["drivers"]["cost"] == pytest.approx(stopped.cost_final, rel=1e-6)
-    assert {row["name"] for row in rows if row["kind"] == "image"} <= {one.name for one in stopped.network.images}
+    assert {row["name"] for row in rows if row["kind"] == "image"} <= set(stopped.network.image_names)
     shares = [float(row["share"]) for row in rows if (row["quantity"], row["kind"]) == ("cost", "image")]
     assert sum(shares) <= 1.0 + 1e-12
     assert drivers_section(stopped).sentences[0] in statements(stopped)

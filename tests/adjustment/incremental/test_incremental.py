@@ -79,7 +79,7 @@ def test_a_solution_of_other_images_is_adopted_with_its_images(images: int) -> N
     adjustment, net = grown(made, 3), grown(made, images).network
     solution = adjust_network(replace(net, held=np.arange(images) == 0), SolverSettings())
     adjustment.adopt(solution)
-    assert adjustment.images == [image.name for image in net.images]
+    assert adjustment.images == net.image_names
     assert distances(adjustment, solution).within(EXACT)
     assert adjustment.store.image("FAN/0").held
 
@@ -115,7 +115,7 @@ def test_an_image_may_take_another_ones_place() -> None:
     adjustment.add(KnownImage(made.images[1], prior), own_measures(made, "FAN/1"), shot_sigma=NOISE.shot_image)
     batch = by_batch(adjustment)
     assert distances(adjustment, batch).within()
-    j = [image.name for image in batch.network.images].index("FAN/1")
+    j = batch.network.image_names.index("FAN/1")
     assert np.array_equal(batch.network.priors[j].sigmas, prior.sigmas)
 
 
