@@ -177,8 +177,7 @@ class Network(Record):
         for array in (surface, images, sigmas):
             array.flags.writeable = False
         rejected = frozen_mask(self.stereo.rejected, "stereo control: marks of rejection", n)
-        stereo = replace(self.stereo, images=images, surface=surface, sigmas=sigmas, rejected=rejected)
-        assign(self, stereo=stereo)
+        assign(self, stereo=replace(self.stereo, images=images, surface=surface, sigmas=sigmas, rejected=rejected))
 
     def considering(self, names: Iterable[str]) -> "Network":
         """The network with those of some names considered that are unknowns of its own."""
@@ -201,9 +200,8 @@ class Network(Record):
             where = f"pass {pass_.name!r}"
             start, stop = pass_.nodes.coverage
             for j in pass_.images.tolist():
-                if j >= len(self.images) or members.count(j) > 1:
-                    expected = "an image of the network, of one pass alone"
-                    raise InputError(f"{where}, images", f"image {j}", expected)
+                expected = "an image of the network, of one pass alone"
+                require(j < len(self.images) and members.count(j) == 1, f"{where}, images", f"image {j}", expected)
                 image = self.images[j]
                 require(not self.held[j], f"{where}, image {image.name}", "it is held", "images that are adjusted")
                 edges, period = image.timing.at(np.array([0.0, float(image.lines)]))
@@ -381,8 +379,7 @@ class Network(Record):
         """(passes + 1,) first variable of each pass, its first node; then the number of variables before those of
         common errors.
         """
-        counts = [pass_.widths.size for pass_ in self.passes]
-        before = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+        before = np.concatenate([[0], np.cumsum([pass_.widths.size for pass_ in self.passes])]).astype(np.int64)
         return read_only(self.first_shared + len(self.shared) + before)
 
     @cached_property
@@ -455,8 +452,7 @@ class Network(Record):
             return self
         rays, surface, (points, ranges) = self.rays, self.surface, self.ranges.independent(self.points)
         if self.common_rays is not None:
-            errors = self.common_rays
-            rays = replace(rays, sigmas=scaled(rays.sigmas, errors.members, errors.independent))
+            rays = replace(rays, sigmas=scaled(rays.sigmas, self.common_rays.members, self.common_rays.independent))
         if self.common_heights is not None and surface is not None:
             errors = self.common_heights
             surface = replace(surface, sigmas=scaled(surface.sigmas, errors.members, errors.independent))
@@ -513,10 +509,8 @@ class Network(Record):
 
     def of_class(self) -> Iterator[tuple[PointClass, Index]]:
         """Each class that occurs, with the indices of its points."""
-        for point_class in PointClass:
-            members = np.flatnonzero(self.points.classes == point_class)
-            if members.size:
-                yield point_class, members
+        for value, members in by_value(self.points.classes):
+            yield PointClass(value), members
 
     def __repr__(self) -> str:
         classes = ", ".join(f"{members.size} {name.name.lower()}" for name, members in self.of_class())

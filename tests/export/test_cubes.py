@@ -64,8 +64,8 @@ def adjusted(image: PushbroomImage, converged: bool = True) -> Any:
     """What of a solution is asked: an image and its correction."""
     correction = OrientationCorrection(COEFFICIENTS[: 3 if image.lines > 1 else 1])
     return SimpleNamespace(
-        network=SimpleNamespace(images=(image,)), image=lambda j: image, correction=lambda j: correction,
-        converged=converged, versions={"mgsgraph": "1.2.3"},
+        network=SimpleNamespace(images=(image,), image_names=(image.name,)),
+        image=lambda j: image, correction=lambda j: correction, converged=converged, versions={"mgsgraph": "1.2.3"},
     )  # fmt: skip
 
 
@@ -301,7 +301,7 @@ def test_images_without_cubes_stay_out_and_cubes_may_have_one_name(shared_data: 
     cubes[1].write_bytes(bare.encode().ljust(65536, b"\0") + cubes[1].read_bytes()[65536:])
     one = adjusted(read_isis_cube(cubes[0]))
     names = [SimpleNamespace(name=name) for name in "apbxc"]
-    solution = SimpleNamespace(**{**vars(one), "network": SimpleNamespace(images=names)})
+    solution = SimpleNamespace(**{**vars(one), "network": SimpleNamespace(images=names, image_names=tuple("apbxc"))})
     files = dict(zip("apbc", [cubes[0], shared_data / "mgs_moc_pair" / "M0100115.img", *cubes[1:]], strict=True))
     _, notes, new = write_cubes(solution, tmp_path / "out", files, WHEN, "")
     assert new == [(tmp_path / "out" / "image.cub", cubes[0]), (tmp_path / "out" / "5" / "image.cub", cubes[2])]
