@@ -22,7 +22,7 @@ import numpy as np
 from mgsgraph.adjustment.covariances import Linearised, PointRows
 from mgsgraph.adjustment.graph import Layout
 from mgsgraph.adjustment.graph.forms import BETWEEN, IN_PROCESS, MISFIT, SHARE, Sweeper, numbers
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.records import Array, Index, Mask, joined_rows
 from mgsgraph.kernel.rows import OUT, Small
 from mgsgraph.network import PointClass
 
@@ -423,7 +423,7 @@ def independent(
     for row, k in zip(pulls_of_all, compared, strict=True):
         variables, pull = pulls[k]
         places = [np.arange(columns[v], columns[v] + width[v]) for v in variables]
-        row[np.concatenate([np.zeros(0, dtype=np.int64), *places])] = pull
+        row[joined_rows(places)] = pull
     size, limit = sizes[compared], limits[compared]
     correlation = np.abs(pulls_of_all @ at.joint.of(columns) @ pulls_of_all.T) / size[:, None] / size
     disturbed, nearest, taken = np.zeros(size.size), np.zeros(size.size), list[int]()

@@ -412,5 +412,5 @@ def _axes(span: Array) -> str:
     if span.shape[1] == 1:
         vector = span[:, 0] * np.sign(span[np.argmax(np.abs(span[:, 0])), 0])
         return "({:.2f}, {:.2f}, {:.2f})".format(*vector)
-    normal = np.cross(span[:, 0], span[:, 1])
+    normal = np.cross(*span.T)
     return "two axes at right angles to ({:.2f}, {:.2f}, {:.2f})".format(*normal)

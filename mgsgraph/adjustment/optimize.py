@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from mgsgraph.adjustment.settings import Iteration
 from mgsgraph.errors import InputError, WeakNetwork
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, no_rows
 from mgsgraph.record import Record, card
 from mgsgraph.workers import no_progress
 
@@ -145,7 +145,7 @@ def _inverted_blocks(diagonal: Any, blocks: list[tuple[int, NDArray[np.int64]]])
     """Inverse of a block-diagonal matrix, sparse; raises LinAlgError where a block isn't positive definite."""
     from scipy.sparse import csr_array
 
-    rows, columns, entries = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)], [np.zeros(0)]
+    rows, columns, entries = [no_rows()], [no_rows()], [np.zeros(0)]
     for width, first in blocks:
         at = first[:, None] + np.arange(width)
         places = np.repeat(at, width, axis=1), np.tile(at, (1, width))

@@ -15,7 +15,7 @@ from scipy.linalg import blas, lapack
 
 from mgsgraph.adjustment.marginals import SquareRoot, begins, many_threads, one_thread
 from mgsgraph.compiled import cached_kernel
-from mgsgraph.geometry.records import Array, Index, place_of
+from mgsgraph.geometry.records import Array, Index, joined_rows, place_of
 from mgsgraph.names import numbered
 
 if TYPE_CHECKING:
@@ -148,7 +148,7 @@ class SparseCholesky:
             at += size
         return SquareRoot(
             self.first.copy(), self.width.copy(),
-            members=np.concatenate([np.zeros(0, dtype=np.int64), *(front.variables for front in fronts)]),
+            members=joined_rows(front.variables for front in fronts),
             sizes=np.array([front.variables.size for front in fronts], dtype=np.int64),
             frontals=np.array([front.frontals for front in fronts], dtype=np.int64),
             rows=flat,

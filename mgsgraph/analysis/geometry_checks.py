@@ -12,7 +12,7 @@ import numpy as np
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.body import Ellipsoid, distances, nearness
 from mgsgraph.geometry.intersection import intersect_rays
-from mgsgraph.geometry.records import Array, Index, by_value, finite_rows, place_of
+from mgsgraph.geometry.records import Array, Index, by_value, finite_rows, no_rows, place_of
 from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.network import Network
 
@@ -50,7 +50,7 @@ def deviating_heights(network: Network, places: Array, covariances: Array) -> De
     covariances : (n, 3, 3) array
         m^2.
     """
-    by_class = [DeviatingHeights(np.zeros(0, dtype=np.int64), np.zeros(0))]
+    by_class = [DeviatingHeights(no_rows(), np.zeros(0))]
     for _, members in network.of_class():
         located = members[finite_rows(places[members]) & (network.points.kinds[members] != PointKind.FIXED)]
         # in a frame that is not body-fixed nothing is known of heights

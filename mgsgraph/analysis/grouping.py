@@ -14,7 +14,7 @@ from mgsgraph.adjustment.marginals import JointCovariance, one_thread
 from mgsgraph.analysis.linearised import prior_rows
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import OrientationPrior
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, joined_rows, no_rows
 from mgsgraph.kernel.rows import GROUND, OUT
 from mgsgraph.names import numbered
 from mgsgraph.network import Network, Pass, PointClass, ProfileShifts
@@ -84,7 +84,7 @@ class Grouping:
     def of_columns(self, layout: Layout) -> Index:
         """(columns,) group of each adjusted column's prior."""
         parts = [self.unknowns[v] for v in layout.variables.adjusted()]
-        return np.concatenate([np.zeros(0, dtype=np.int64), *parts])
+        return joined_rows(parts)
 
 
 def group_rows(network: Network) -> Grouping:
@@ -337,7 +337,7 @@ class _Sums:
             first = np.repeat(variables.first[v] + a, b.size)
             second = np.tile(variables.first[w] + b, a.size)
             links += [(first, second, where)] if v == w else [(first, second, where), (second, first, where)]
-        links.append((np.zeros(0, dtype=np.int64),) * 3)
+        links.append((no_rows(),) * 3)
         row, column, place = (np.concatenate(part) for part in zip(*links, strict=True))
         for g, flat in enumerate(self._flat):
             values, prior = flat[place], layout.prior.design[np.flatnonzero(of_row == g)]

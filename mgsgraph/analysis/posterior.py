@@ -36,7 +36,7 @@ from mgsgraph.errors import InputError, require
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import COMPONENTS, OrientationCorrection
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.records import Array, Index, Mask, joined_rows
 from mgsgraph.kernel.rows import FIXED, GOOD, OUT
 from mgsgraph.kernel.sweep import COSTS, point_covariances, reduce
 from mgsgraph.names import numbered
@@ -416,10 +416,9 @@ def cross_covariances(at: Linearised, point: int) -> Array:
             columns = at.layout.variables.width[variables_of_both]
             begin = dict(zip(variables_of_both, np.cumsum(columns) - columns, strict=True))
             parts = [
-                np.concatenate([np.zeros(0, dtype=np.int64),
-                                *(begin[v] + np.arange(at.layout.variables.width[v]) for v in variables)])
+                joined_rows(begin[v] + np.arange(at.layout.variables.width[v]) for v in variables)
                 for variables in (of_point.variables, rows.variables)
-            ]  # fmt: skip
+            ]
             joint[rows.variables] = carried[0] @ at.joint.of(variables_of_both)[np.ix_(*parts)]
         carried_by_others, _ = rows.eliminated()
         covariances[members] = np.einsum("ac,nbc->nab", joint[rows.variables], carried_by_others)

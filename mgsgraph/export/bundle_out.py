@@ -287,7 +287,7 @@ def _residuals_csv(solution: Solution) -> str:
     for j, of_image in by_value(rays.image):
         focal[of_image], _ = solution.image(j).interior.focal_plane(rays.places[of_image, 1])
     residuals = solution.residuals[:, ::-1]
-    magnitude = np.hypot(residuals[:, 0], residuals[:, 1])
+    magnitude = np.hypot(*residuals.T)
     places = np.column_stack([focal / MM, rays.places[:, ::-1] + ISIS_OFFSET])
     numbers = np.column_stack([places, residuals, magnitude])[order].tolist()
     ids, names = [quoted(name) for name in network.points.ids], [quoted(image.name) for image in network.images]

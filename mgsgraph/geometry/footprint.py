@@ -23,7 +23,7 @@ from mgsgraph.errors import InputError, require
 from mgsgraph.geometry.body import Ellipsoid, planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.geometry.records import Array, Index, Mask, assign, finite_rows, frozen
+from mgsgraph.geometry.records import Array, Index, Mask, assign, finite_rows, frozen, no_rows
 from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.units import DEG
 
@@ -326,7 +326,7 @@ def gaps(footprints: Sequence[Footprint], pairs: Index) -> Array:
     Measured in the equal-area plane around the pair's middle: true to a few per cent for gaps below 0.5 rad.
     """
     distances = np.full(len(pairs), np.nan)
-    sound = np.flatnonzero(_nonempty(footprints)[pairs].all(axis=1)) if len(pairs) else np.zeros(0, dtype=np.int64)
+    sound = np.flatnonzero(_nonempty(footprints)[pairs].all(axis=1)) if len(pairs) else no_rows()
     if sound.size:
         outlines, radius = _directions(footprints)
         distances[sound] = shapely.distance(*_polygon_pairs(outlines, pairs[sound], radius))

@@ -1,6 +1,6 @@
 """Construction of records: their arrays are copied to read-only float64 and checked once."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
@@ -67,6 +67,16 @@ def by_value(values: Index) -> Iterator[tuple[int, Index]]:
     """Each number that occurs, from the least on, and where it does."""
     for value in np.unique(values).tolist():
         yield value, np.flatnonzero(values == value)
+
+
+def no_rows() -> Index:
+    """The indices of nothing."""
+    return np.zeros(0, dtype=np.int64)
+
+
+def joined_rows(parts: Iterable[Index]) -> Index:
+    """Indices one after another, also of no parts at all."""
+    return np.concatenate([no_rows(), *parts])
 
 
 def thinned(size: int, most: int | None) -> Index:

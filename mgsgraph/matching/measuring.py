@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.records import Array, Index, Mask, no_rows
 from mgsgraph.matching.equations import SplinePicture
 from mgsgraph.matching.least_squares import LeastSquaresMatches, match_least_squares
 from mgsgraph.matching.patches import Links, opencv
@@ -192,7 +192,7 @@ def half_window(ground: Ground, picture: Picture, size: float) -> tuple[int, int
 
 
 def _empty() -> Measured:
-    whole, real = np.zeros(0, dtype=np.int64), np.zeros(0)
+    whole, real = no_rows(), np.zeros(0)
     pairs, matrices = np.zeros((0, 2)), np.zeros((0, 2, 2))
     return Measured(
         whole, whole, whole, whole, pairs, pairs, matrices, matrices, real, whole, np.zeros(0, dtype=bool)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from mgsgraph.errors import library
 from mgsgraph.geometry.body import in_turn
-from mgsgraph.geometry.records import Array, Index, finite_rows
+from mgsgraph.geometry.records import Array, Index, finite_rows, joined_rows
 from mgsgraph.geometry.terrain import refined
 from mgsgraph.matching.scene import Ground, Picture, Scene
 
@@ -233,7 +233,7 @@ def concatenated(parts: Sequence[Links]) -> Links:
     first = np.cumsum([0, *(len(part.plane) for part in parts)])[:-1]
     return Links(
         np.concatenate([np.zeros((0, 2)), *(part.plane for part in parts)]),
-        np.concatenate([np.zeros(0, dtype=np.int64), *(part.picture for part in parts)]),
+        joined_rows(part.picture for part in parts),
         np.concatenate([np.zeros((0, 2), dtype=np.int64), *(p.links + k for p, k in zip(parts, first, strict=True))]),
         np.concatenate([np.zeros(0), *(part.likeness for part in parts)]),
     )

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mgsgraph.errors import require
-from mgsgraph.geometry.records import Array, Index, assign, by_value, frozen, frozen_index
+from mgsgraph.geometry.records import Array, Index, assign, by_value, frozen, frozen_index, no_rows
 from mgsgraph.network.records import ImageRays, LinearRows, Surface
 from mgsgraph.record import Record
 
@@ -213,7 +213,7 @@ def _pairs(places: Array, parts: Sequence[tuple[Array, Array]]) -> tuple[Index, 
 
     farthest = max(float(reaches[shares > 0.0].max(initial=0.0)) for shares, reaches in parts)
     if farthest <= 0.0:
-        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+        return no_rows(), no_rows()
     first, second = cKDTree(places).query_pairs(farthest, p=np.inf, output_type="ndarray").T
     near = correlation(places, parts, first, second) > _SLIGHT
     return first[near], second[near]

@@ -9,7 +9,7 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import ellipsoidal_heights
 from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.records import Array, Index, Mask, no_rows
 from mgsgraph.network.network import Network
 from mgsgraph.network.records import PointClass
 from mgsgraph.text import NAMED, many, some, span
@@ -233,7 +233,7 @@ def _common_by_class(network: Network, used: Mask | None) -> tuple[Index, Index]
     code = np.sort(rays.point[counted] * m + rays.image[counted])
     point, image = np.divmod(code[np.append(True, code[1:] != code[:-1])[: code.size]], m)
     of_class = network.points.classes[point]
-    codes, counts = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
+    codes, counts = [no_rows()], [no_rows()]
     for lag in range(m):
         first, second = slice(0, point.size - lag), slice(lag, None)
         same = point[first] == point[second]

@@ -11,7 +11,7 @@ from mgsgraph.errors import InputError, require
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import SUPPORT, OrientationPrior
-from mgsgraph.geometry.records import Array, Index, Mask, chosen_rows, concatenated, place_of
+from mgsgraph.geometry.records import Array, Index, Mask, chosen_rows, concatenated, no_rows, place_of
 from mgsgraph.names import Names, numbered
 from mgsgraph.network.joining import NamedPass, definitions, united, with_definitions
 from mgsgraph.network.network import Network
@@ -120,7 +120,7 @@ def require_separable(network: Network) -> None:
 
 def alone(image: KnownImage) -> Network:
     """A network of one image without any point."""
-    nothing, none = np.zeros(0, dtype=np.int64), np.zeros((0, 3))
+    nothing, none = no_rows(), np.zeros((0, 3))
     points = GroundPoints(Names.of(()), nothing, nothing, none, np.zeros((0, 3, 3)))
     rays = ImageRays(nothing, nothing, np.zeros((0, 2)), np.zeros((0, 2)))
     return Network(*image_columns([image]), points, rays, Ranges.none())

@@ -29,6 +29,7 @@ from mgsgraph.geometry.records import (
     finite_rows,
     frozen,
     frozen_index,
+    joined_rows,
     of_kind,
     require_covariances,
     require_names,
@@ -411,7 +412,7 @@ def crossovers(
     """
     laser = points.classes == PointClass.LASER
     members = [np.flatnonzero((shifts.profile == p) & laser) for p in range(len(moved))]
-    used = np.concatenate([np.zeros(0, dtype=np.int64), *members])
+    used = joined_rows(members)
     places = points.places.copy()
     ways = east_north_up(places[used])[:, :2]
     places[used] += np.einsum("nk,nkj->nj", moved[shifts.profile[used]], ways)

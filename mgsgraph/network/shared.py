@@ -20,7 +20,7 @@ from mgsgraph.errors import InputError, require
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import Angles, Moments, Sine
-from mgsgraph.geometry.records import Array, Index, assign, frozen, frozen_index
+from mgsgraph.geometry.records import Array, Index, assign, frozen, frozen_index, no_rows
 from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.record import Record
@@ -181,13 +181,13 @@ class SharedUnknown(Record):
     @classmethod
     def of_height(cls, profile: str, middle: float, drift: float | None = None) -> "SharedUnknown":
         """Height of a profile with a-priori sigmas of its middle and its drift in m; no drift when None."""
-        sigmas, none = np.array([middle, drift or _NO_DRIFT]), np.zeros(0, dtype=np.int64)
+        sigmas, none = np.array([middle, drift or _NO_DRIFT]), no_rows()
         return cls(f"height of {profile}", SharedKind.PROFILE_HEIGHT, none, sigmas, profile)
 
     @classmethod
     def of_drift(cls, profile: str, sigma: float) -> "SharedUnknown":
         """How much a profile's horizontal shift grows from its middle to its end, with an a-priori sigma in m."""
-        none = np.zeros(0, dtype=np.int64)
+        none = no_rows()
         return cls(f"drift of {profile}", SharedKind.PROFILE_DRIFT, none, np.full(2, sigma), profile)
 
     @classmethod

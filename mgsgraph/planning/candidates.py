@@ -13,7 +13,7 @@ import numpy as np
 
 from mgsgraph.errors import InputError, require
 from mgsgraph.files.networks.tie_points import PointKind
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, no_rows
 from mgsgraph.names import Names, numbered
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, ProfileShifts, Ranges, Surface
 from mgsgraph.network.joining import with_definitions
@@ -178,7 +178,7 @@ def planned_profile(coverage: ImageCoverage, name: str, shots: PlannedShots) -> 
     ids = Names.of(f"{name}:{i + 1}" for i in range(n))
     _require_new(coverage, ids, name)
     points = _points(ids, PointClass.LASER, shots.footprints, shots.covariances)
-    rays: _Rays = (np.zeros(0, dtype=np.int64), [], np.zeros((0, 2)), np.zeros((0, 2)))
+    rays: _Rays = (no_rows(), [], np.zeros((0, 2)), np.zeros((0, 2)))
     if shots.image_sigma is not None:
         point, images, places = coverage.rays(shots.footprints, coverage.near(shots.footprints))
         rays = point, images, places, np.full(places.shape, shots.image_sigma)

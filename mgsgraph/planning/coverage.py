@@ -11,7 +11,7 @@ from mgsgraph.geometry.footprint import Footprint, footprint, overlaps
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.intersection import meet_terrain
 from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.records import Array, Index, Mask, no_rows
 from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.network.connectivity import network_footprints
 from mgsgraph.network.footprints import visible_places
@@ -153,7 +153,7 @@ class ImageCoverage(Record):
 
     def rays(self, points: Array, views: Iterable[OrientedImage]) -> tuple[Index, list[str], Array]:
         """Image places of points (n, 3) in all of these images that show them: point (k,), image, places (k, 2)."""
-        index, names, places = [np.zeros(0, dtype=np.int64)], list[str](), [np.zeros((0, 2))]
+        index, names, places = [no_rows()], list[str](), [np.zeros((0, 2))]
         for view in views:
             some, where = view.shown(points)
             index.append(some)

@@ -22,7 +22,7 @@ from mgsgraph.analysis.weak import weakest
 from mgsgraph.errors import InputError, require
 from mgsgraph.files.output.folders import ANALYSIS
 from mgsgraph.files.output.table import Column, Table, numbers, picked
-from mgsgraph.geometry.records import Index
+from mgsgraph.geometry.records import Index, joined_rows
 from mgsgraph.results.answers import Questions, curve_section, raster_section, replies
 from mgsgraph.results.ground import leave_out_section
 from mgsgraph.results.section import Section, record_of, sheets_by, table_of, write_sections
@@ -70,7 +70,7 @@ def suspects_table(tests: Reliability, suspected: Sequence[Suspect]) -> Table:
         f"{'= ' if k else ''}{tests.name(int(measure))} {mark if not k else ''}"
         for mark, group in zip(marks, groups, strict=True) for k, measure in enumerate(group)
     ]
-    table = reliability_table(tests, np.concatenate([np.zeros(0, dtype=np.int64), *groups]))
+    table = reliability_table(tests, joined_rows(groups))
     named = Column("name", names, label="measurement (=: inseparable from the one above)", text="<", gap=2)
     return replace(table, columns=(*table.columns, named))
 

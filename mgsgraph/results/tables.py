@@ -19,7 +19,7 @@ from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.files.output.table import Column, Table, padded, picked, write_parquet
 from mgsgraph.files.rasters.raster_file import geographic_crs
 from mgsgraph.geometry.body import Ellipsoid, east_north_up, ellipsoidal_heights, planetocentric
-from mgsgraph.geometry.records import Array, Index, sigmas_of
+from mgsgraph.geometry.records import Array, Index, no_rows, sigmas_of
 from mgsgraph.names import RepeatedNames
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import Connectivity
@@ -119,7 +119,7 @@ def _stereo_heights(solution: Solution) -> tuple[Index, Array, Array]:
     """Points (h,) on stereo surfaces, their heights above them and a-priori sigmas (h,), m."""
     control, heights = solution.network.stereo, solution.stereo_heights
     if control is None or heights is None:
-        return np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0)
+        return no_rows(), np.zeros(0), np.zeros(0)
     points = np.flatnonzero(control.surface >= 0)
     return points, heights[points], control.sigmas[points]
 

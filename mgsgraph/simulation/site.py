@@ -266,7 +266,7 @@ def simulate_site(
     pairs = [_images(*given) for given in zip(settings.images, flights, streams[:2], strict=True)]
     true = (pairs[0][0], pairs[1][0])
     drawn = streams[2].uniform(MARGIN, np.array([true[0].lines, true[0].samples]) - MARGIN, (8 * settings.ties, 2))
-    ground = terrain.intersect(*true[0].rays(drawn[:, 0], drawn[:, 1])[:2])
+    ground = terrain.intersect(*true[0].rays(*drawn.T)[:2])
     ties, points = shared_ties(SOURCE, true, (None, None), ground, settings.ties, options.tie_noise, streams[2])
     images = []
     for k, (image, (_, errors, _, count)) in enumerate(zip(settings.images, flights, strict=True)):

@@ -23,7 +23,7 @@ from mgsgraph.adjustment.graph.variables import Variables
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.plausibility import require_on_ground, resection_remedy
-from mgsgraph.geometry.records import Array, Index, finite_rows
+from mgsgraph.geometry.records import Array, Index, finite_rows, no_rows
 from mgsgraph.kernel.rows import (
     FIXED,
     FREE,
@@ -326,7 +326,7 @@ def _fill_surface(network: Network, store: _Store, starts: Array, weight: Array)
     Returned are their indices among all observations, and the points that they belong to.
     """
     if network.surface is None:
-        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+        return no_rows(), no_rows()
     on_surface = np.flatnonzero(np.isfinite(network.surface.sigmas))
     slots = _observations_before(network) + (network.points.kinds == PointKind.CONSTRAINED)
     place, stride, among = store.place(on_surface, slots[on_surface])
@@ -341,7 +341,7 @@ def _fill_surface(network: Network, store: _Store, starts: Array, weight: Array)
 def _fill_stereo(network: Network, store: _Store, stereo: StereoRows | None, weight: Array) -> Index:
     """Heights above stereo surfaces; their places among all observations."""
     if stereo is None or network.stereo is None:
-        return np.zeros(0, dtype=np.int64)
+        return no_rows()
     points, before = stereo.points, _observations_before(network)[stereo.points]
     before += network.points.kinds[points] == PointKind.CONSTRAINED
     if network.surface is not None:

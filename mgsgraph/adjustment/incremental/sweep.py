@@ -25,7 +25,7 @@ from mgsgraph.adjustment.rounds import (
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.orientation import SUPPORT, OrientationImages
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, joined_rows
 from mgsgraph.kernel.sweep import COSTS, SYSTEM, Reduction, dense, point_covariances, reduce, sparse
 from mgsgraph.names import Names
 from mgsgraph.network import Network, NodePrior, Pass
@@ -230,9 +230,7 @@ class Sweep:
         at = np.concatenate([reduction.orientation[layout.columns_of(v)] for v in felt])
         normal, gradient = np.zeros((at.size, at.size)), np.zeros(at.size)
         for group, members in enumerate(layout.group_variables):
-            columns = np.concatenate([np.zeros(0, dtype=np.int64), *(
-                np.arange(first[v], first[v] + layout.variables.width[v]) for v in members
-            )])  # fmt: skip
+            columns = joined_rows(np.arange(first[v], first[v] + layout.variables.width[v]) for v in members)
             block, right = dense(reduction, layout.groups, self._blocks, group)
             normal[np.ix_(columns, columns)] += block
             gradient[columns] += right
@@ -300,10 +298,10 @@ class Sweep:
         """
         joint, place = covariance
         numbers = np.arange(joint.shape[0])
-        columns = np.concatenate([np.zeros(0, dtype=np.int64), *(
+        columns = joined_rows(
             numbers[place[name]] if (name := self._names[v]) in place else np.full(self._layout.variables.width[v], -1)
             for v in members
-        )])  # fmt: skip
+        )
         present = np.flatnonzero(columns >= 0)
         block = np.zeros((columns.size, columns.size))
         block[np.ix_(present, present)] = joint[np.ix_(columns[present], columns[present])]
