@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.adjustment.settings import Iteration
-from mgsgraph.errors import InputError, WeakNetwork
+from mgsgraph.errors import InputError, WeakNetwork, require
 from mgsgraph.geometry.records import Array, no_rows
 from mgsgraph.record import Record, card
 from mgsgraph.workers import no_progress
@@ -55,8 +55,7 @@ class _Structure:
 
     def __init__(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
         self.keys, zeros = sorted(graph.keyVector()), values.zeroVectors()  # GTSAM's own order of columns
-        if not self.keys:
-            raise InputError("graph", "no factors", "at least one")
+        require(self.keys, "graph", "no factors", "at least one")
         for key in self.keys:
             if not values.exists(key):
                 problem = f"none of variable {gtsam.DefaultKeyFormatter(key)}"

@@ -251,8 +251,7 @@ def draft_case(given: Sequence[Path], out: Path, name: str = "", replace: bool =
         a case file that is there already.
     """
     require(not out.is_dir(), str(out), "a folder", "a case file (case.toml in it, say)")
-    if out.exists() and not replace:
-        raise InputError(str(out), "there already", remedy="choose another --out, or give --replace")
+    require(not out.exists() or replace, str(out), "there already", remedy="choose another --out, or give --replace")
     require_free(out, _CASE_FILE, remedy="choose another --out")
     kinds, unknown = _kinds(given)
     kernels = _kernels(kinds)

@@ -284,8 +284,7 @@ def _process(entry: Motion | ProcessInput, motion: Motion, where: str) -> Proces
     assert entry.model != "polynomial"
     key = f"sigma_{motion.unit}"
     for foreign in ("sigma_m", "sigma_mrad"):
-        if foreign != key and getattr(entry, foreign, None) is not None:
-            raise InputError(where, f"{foreign}, of {motion.what}", key)
+        require(foreign == key or getattr(entry, foreign, None) is None, where, f"{foreign}, of {motion.what}", key)
     value = getattr(entry, key)
     if value is None:
         raise InputError(where, f"{entry.model} without a sigma", f'{key}: a number, three, or "estimated"')

@@ -75,8 +75,7 @@ def read_scene(
 
 
 def _require_sound(height: float | None, height_sigma: float | None) -> None:
-    if height is not None and not np.isfinite(height):
-        raise InputError("height of the ground", f"{height}", "metres above the ellipsoid")
+    require(height is None or np.isfinite(height), "height of the ground", f"{height}", "metres above the ellipsoid")
     if height_sigma is not None and not 0.0 < height_sigma < np.inf:
         raise InputError("sigma of the ground's height", f"{height_sigma}", "a positive number of metres")
 

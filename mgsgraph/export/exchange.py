@@ -184,8 +184,7 @@ def _listed(paths: Paths) -> list[Path]:
     require(listed, "convert", "nothing to read", "one file or more")
     resolved_paths = set[Path]()
     for path in listed:
-        if (place := resolved(path, "")) in resolved_paths:
-            raise InputError(str(path), "given twice", "each file once")
+        require((place := resolved(path, "")) not in resolved_paths, str(path), "given twice", "each file once")
         resolved_paths.add(place)
     return listed
 
@@ -230,8 +229,7 @@ def _renamed(network: ControlNetwork, names: Mapping[str, str]) -> ControlNetwor
         return network
     present = images_of(network)
     for old in names:
-        if old not in present:
-            raise InputError(network.source, f"no image {old!r} to rename", some(sorted(present)))
+        require(old in present, network.source, f"no image {old!r} to rename", some(sorted(present)))
     after = [names.get(name, name) for name in present]
     if len(set(after)) < len(after):
         twice = next(name for name in after if after.count(name) > 1)

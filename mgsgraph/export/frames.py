@@ -8,7 +8,7 @@ import shapely
 
 from mgsgraph.adjustment.solution import OrientationProfile, Solution, orientation_profiles
 from mgsgraph.analysis.statistics import solution_connectivity
-from mgsgraph.errors import InputError, library, require
+from mgsgraph.errors import library, require
 from mgsgraph.export.gis import Layer, ellipse_layers, footprint_layers
 from mgsgraph.files.output.table import Column, Table
 from mgsgraph.files.rasters.raster_file import geographic_crs, wkt2
@@ -111,8 +111,7 @@ def to_geopandas(solution: Solution, what: str = "points") -> "GeoDataFrame":
 
 def _table(solution: Solution, what: str, tables: dict[str, Callable[[Solution], Table]]) -> Table:
     require(what in tables, "table of a solution", repr(what), f"one of {', '.join(tables)}")
-    if what == "passes" and not solution.network.passes:
-        raise InputError("table of passes", "a network without any")
+    require(what != "passes" or solution.network.passes, "table of passes", "a network without any")
     return tables[what](solution)
 
 

@@ -289,8 +289,7 @@ def header_of(fields: Sequence[str], where: str) -> tuple[str, ...]:
             raise _unknown(name, names, where)
         require(names.count(name) <= 1, where, f"the column {name!r} twice", "each once")
     for name in ("id", "image"):
-        if name not in names:
-            raise InputError(where, f"no column {name!r}", "id, image, and isis_line, isis_sample or line, sample")
+        require(name in names, where, f"no column {name!r}", "id, image, and isis_line, isis_sample or line, sample")
     if len(whole(names, (ISIS, OURS), where)) != 2:
         raise InputError(where, "no columns of places", "isis_line and isis_sample, or line and sample", _COUNTS)
     place, uncertainty = whole(names, PLACES, where), whole(names, UNCERTAINTIES, where)

@@ -16,7 +16,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.geometry.orientation import OrientationImages
 from mgsgraph.geometry.records import Array, Index, assign, frozen
 from mgsgraph.record import Record
@@ -68,8 +68,7 @@ class Process(Record):
         assign(self, sigmas=sigmas)
         timed = self.kind in ("gauss-markov", "matern-3/2", "matern-5/2")
         time, expected = self.correlation_time, f"a positive number up to {_LONGEST_TIME:g} s"
-        if timed and not 0.0 < time <= _LONGEST_TIME:
-            raise InputError(f"{where}, correlation time", f"{time} s", expected)
+        require(not timed or 0.0 < time <= _LONGEST_TIME, f"{where}, correlation time", f"{time} s", expected)
         if not timed and time != 0.0:
             raise InputError(f"{where}, correlation time", f"{time} s", f"none: {self.kind} has no correlation time")
 

@@ -165,8 +165,7 @@ def _image(coverage: ImageCoverage, entry: CandidateImage, tables: CandidatesInp
         found = f"the image {entry.name!r}, which is in the network already"
         raise InputError(where, found, "a new image", "take it out of the candidates")
     image = read_image(entry, tables.spice, path.parent, where)
-    if image.body != coverage.network.body:
-        raise InputError(where, "an image of another body than the network's", "one body")
+    require(image.body == coverage.network.body, where, "an image of another body than the network's", "one body")
     image = orientation.nominal_of(image)
     stated = f"{where}.orientation" if entry.orientation else f"{path}, orientation"
     prior = orientation.prior(stated, image.mission)

@@ -86,8 +86,7 @@ def parse_image(text: str) -> ImageArgument:
     name, sign, path = text.partition("=")
     if not sign or Path(text).exists():
         return ImageArgument(Path(text))
-    if not name.strip() or not name.isprintable():
-        raise InputError(repr(text), "an empty or unprintable name before '='", "NAME=FILE")
+    require(name.strip() and name.isprintable(), repr(text), "an empty or unprintable name before '='", "NAME=FILE")
     return ImageArgument(Path(path), name)
 
 

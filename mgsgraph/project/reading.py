@@ -354,8 +354,7 @@ def _interval(dates: tuple[str, str]) -> tuple[float, float]:
     texts = [text.strip() + "T00:00:00"[len(text.strip()) - _DATE :] for text in dates]
     first, last = tdb_of_utc(texts, "dates").tolist()
     last += _DAY if len(dates[1].strip()) == _DATE else 0.0
-    if first > last:
-        raise InputError("dates", f"{dates[0]} after {dates[1]}", "FROM before TO")
+    require(first <= last, "dates", f"{dates[0]} after {dates[1]}", "FROM before TO")
     return first, last
 
 

@@ -363,5 +363,4 @@ def _require_shapes(solution: "Solution") -> None:
         if (value := getattr(solution, name)) is not None
     }  # fmt: skip
     for name, arrays in (numbers | {"places": [solution.places[solution.determined]]}).items():
-        if not all(np.all(np.isfinite(array)) for array in arrays):
-            raise InputError(name, "not a number", "finite numbers", _READJUST)
+        require(all(np.all(np.isfinite(array)) for array in arrays), name, "not a number", "finite numbers", _READJUST)

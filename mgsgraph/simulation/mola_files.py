@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.altimetry.binary import FRAME, HEADER_RECORDS, SHOTS, read_pedr
 from mgsgraph.files.writing import writing_to
 from mgsgraph.geometry.altimetry import AltimeterShots
@@ -120,8 +120,7 @@ def _label(path: Path, frames: PedrFrames, count: int, more: Mapping[str, str]) 
         more="".join(f"{key} = {value}\n" for key, value in more.items()),
     ).replace("\n", "\r\n")  # fmt: skip
     size = HEADER_RECORDS * FRAME.itemsize
-    if not text.isascii() or len(text) > size:
-        raise InputError(f"{path}, label", f"{len(text)} characters", f"at most {size}, ASCII")
+    require(text.isascii() and len(text) <= size, f"{path}, label", f"{len(text)} characters", f"at most {size}, ASCII")
     return text.encode("ascii").ljust(size)
 
 

@@ -120,8 +120,7 @@ def read_match_text(path: Path, images: tuple[str, str]) -> MatchFile:
     """Read a match file in text; the same errors, and for sigmas that are not positive, with the line."""
     places, rows = list[str](), list[list[float]]()
     for where, fields in filled_lines(path):
-        if len(fields) != 6:
-            raise InputError(where, f"{len(fields)} fields", "six numbers: x1 y1 unc1 x2 y2 unc2")
+        require(len(fields) == 6, where, f"{len(fields)} fields", "six numbers: x1 y1 unc1 x2 y2 unc2")
         rows.append([number_of(text, where) for text in fields])
         places.append(where)
     require(rows, str(path), "no match", "at least one")
