@@ -28,6 +28,7 @@ _MOST_NAMED = 6
 """Names that a message lists."""
 _IMAGE = "image"
 Name = TypeVar("Name")
+Item = TypeVar("Item")
 Chosen = Union[slice, "NDArray[np.int64]", "NDArray[np.bool_]"]
 """Which names: a slice, numbers (m,) or marks (n,)."""
 
@@ -335,6 +336,14 @@ def number_of(asked: "str | int | np.integer[Any]", numbers: Mapping[str, int], 
 def numbered(names: Iterable[Name]) -> dict[Name, int]:
     """Number of each of several names, as they come."""
     return {name: number for number, name in enumerate(names)}
+
+
+def grouped(pairs: Iterable[tuple[Name, Item]]) -> dict[Name, list[Item]]:
+    """What belongs to each name, or other key, as they come."""
+    groups = dict[Name, list[Item]]()
+    for name, item in pairs:
+        groups.setdefault(name, []).append(item)
+    return groups
 
 
 def image_names(asked: Iterable[str], names: Sequence[str]) -> list[str]:

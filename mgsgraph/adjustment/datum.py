@@ -21,6 +21,7 @@ from mgsgraph.geometry.records import Array, finite_rows
 from mgsgraph.geometry.rotation import skew
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.kernel.sweep import Reduction
+from mgsgraph.names import grouped
 from mgsgraph.network.joining import nominal_poses
 from mgsgraph.text import listed, some
 from mgsgraph.units import ARCSEC
@@ -108,10 +109,8 @@ def parts_of(frames: Frames, direction: Array) -> tuple[Part, ...]:
 
 def in_words(frames: Frames, parts: Sequence[Part], sigma: float | None = None) -> str:
     """What a direction is; with its sigma (in prior units), how far one sigma moves its main term."""
-    groups: dict[str, list[_Term]] = {}
     terms = sorted(_terms(frames, parts), key=lambda term: -round(term.share, 6))
-    for term in terms:
-        groups.setdefault(term.what, []).append(term)
+    groups = grouped((term.what, term) for term in terms)
     ordered = sorted(groups.values(), key=lambda group: -round(sum(term.share for term in group), 6))
     named: list[list[_Term]] = []
     explained = 0.0
@@ -159,13 +158,8 @@ def _owners(owners: Sequence[str]) -> str:
 
 def _terms(frames: Frames, parts: Sequence[Part]) -> list[_Term]:
     """Parts; those of position and pointing that cancel each other are one term."""
-    of_image: dict[tuple[int, int], list[Part]] = {}
-    terms: list[_Term] = []
-    for part in parts:
-        if part.axis.polynomial:
-            of_image.setdefault((part.axis.variable, part.axis.order), []).append(part)
-        else:
-            terms.append(_alone(part))
+    terms = [_alone(part) for part in parts if not part.axis.polynomial]
+    of_image = grouped(((part.axis.variable, part.axis.order), part) for part in parts if part.axis.polynomial)
     for (image, _), of_order in of_image.items():
         terms += _against(frames.of(image), of_order)
     return terms

@@ -45,6 +45,7 @@ from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.orientation import SUPPORT, OrientationImages
 from mgsgraph.geometry.records import Array, Mask, finite_rows
 from mgsgraph.geometry.trajectory import Pose
+from mgsgraph.names import grouped
 from mgsgraph.network import HELD, Network
 from mgsgraph.network.effects import SharedEffects, common_lifts, common_looks, crossover_rows, known_motions
 from mgsgraph.network.parallel import parallel
@@ -282,12 +283,11 @@ def prior_factors(network: Network, keys: Keys) -> Iterator[gtsam.NonlinearFacto
 
 def _movers(network: Network, keys: Keys, of_ranges: bool = False) -> dict[int, list[PolynomialEffect]]:
     """Of each point the unknowns that move its a-priori position; `of_ranges`: without those that act on ranges."""
-    movers: dict[int, list[PolynomialEffect]] = {}
-    for points, variables, motions, on_ranges in known_motions(network):
-        if not (of_ranges and on_ranges):
-            for i, variable, motion in zip(points.tolist(), variables.tolist(), motions, strict=True):
-                movers.setdefault(i, []).append(constant(keys.variable(variable), POSITION, motion.T))
-    return movers
+    return grouped(
+        (i, constant(keys.variable(variable), POSITION, motion.T))
+        for points, variables, motions, on_ranges in known_motions(network) if not (of_ranges and on_ranges)
+        for i, variable, motion in zip(points.tolist(), variables.tolist(), motions, strict=True)
+    )  # fmt: skip
 
 
 def _grounds(network: Network, keys: Keys, selected: Selected) -> Iterator[gtsam.NonlinearFactor]:

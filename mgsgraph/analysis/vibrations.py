@@ -30,6 +30,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.process_strengths import estimated_strengths
 from mgsgraph.analysis.residual_spectrum import residual_vibrations
 from mgsgraph.geometry.records import Array, Index
+from mgsgraph.names import grouped
 from mgsgraph.network import Network, SharedUnknown
 from mgsgraph.network.joining import seconds, sine_over
 from mgsgraph.record import Record
@@ -308,10 +309,8 @@ def adjusted(
 
 def amplitudes(solution: Solution) -> tuple[Amplitude, ...]:
     """What rays show of all vibrations that are unknowns."""
-    of_frequency, shared = dict[float, list[int]](), solution.network.shared
-    for k, unknown in enumerate(shared):
-        if unknown.sine is not None:
-            of_frequency.setdefault(unknown.sine.frequency, []).append(k)
+    sines = [(unknown.sine, k) for k, unknown in enumerate(solution.network.shared)]
+    of_frequency = grouped((sine.frequency, k) for sine, k in sines if sine is not None)
     records = list[Amplitude]()
     for members in of_frequency.values():
         joint = solution.joint_covariance.of([solution.shared_variable(k) for k in members])

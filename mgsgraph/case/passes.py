@@ -35,7 +35,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationImages, OrientationPrior, evenly_spaced
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.trajectory import AttitudeTable, FixedTrajectory, PositionTable, Trajectory, utc_of_tdb
-from mgsgraph.names import numbered
+from mgsgraph.names import grouped, numbered
 from mgsgraph.network import (
     Network,
     NodePrior,
@@ -474,10 +474,8 @@ def _sharing(entry: MountingInput, of_mounting: Sequence[int], network: Network)
     """What to add to an unknown's name, and the images that share it."""
     if entry.sharing == "campaign":
         return [("", list(of_mounting))]
-    groups = dict[str, list[int]]()
-    for j in of_mounting:
-        owner = int(network.pass_of[j])
-        groups.setdefault(network.passes[owner].name if owner >= 0 else network.images[j].name, []).append(j)
+    owners = [(int(network.pass_of[j]), j) for j in of_mounting]
+    groups = grouped((network.passes[k].name if k >= 0 else network.images[j].name, j) for k, j in owners)
     return [(f", {name}", images) for name, images in groups.items()]
 
 

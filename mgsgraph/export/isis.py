@@ -33,6 +33,7 @@ from mgsgraph.files.output.folders import PROGRAM, WITHOUT_LASER
 from mgsgraph.files.writing import write_file
 from mgsgraph.geometry.body import target_name
 from mgsgraph.geometry.records import Array, Mask
+from mgsgraph.names import grouped
 from mgsgraph.network import PointClass
 from mgsgraph.units import ISIS_OFFSET, KM
 
@@ -253,9 +254,7 @@ def adjusted_lidar_text(solution: Solution, factor: float = 1.0) -> str:
 
 def _lidar_measures(solution: Solution) -> dict[int, list[LidarMeasure]]:
     """Measures that took part, by index of the point."""
-    measures = dict[int, list[LidarMeasure]]()
-    rays, names = solution.network.rays, solution.network.image_names
-    for k in np.flatnonzero(solution.rays_used).tolist():
-        line, sample = (rays.places[k] + ISIS_OFFSET).tolist()
-        measures.setdefault(int(rays.point[k]), []).append(LidarMeasure(line, sample, names[int(rays.image[k])]))
-    return measures
+    rays, names, used = solution.network.rays, solution.network.image_names, solution.rays_used
+    places = (rays.places[used] + ISIS_OFFSET).tolist()
+    measures = zip(rays.point[used].tolist(), places, rays.image[used].tolist(), strict=True)
+    return grouped((i, LidarMeasure(line, sample, names[j])) for i, (line, sample), j in measures)

@@ -18,6 +18,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.records import Array, Index, Mask, by_value
 from mgsgraph.matching.scene import Pixels
+from mgsgraph.names import grouped
 from mgsgraph.network.observations import require_inside
 from mgsgraph.workers import Count, no_progress
 
@@ -176,9 +177,7 @@ def _of_same_images(frames: ChipFrames, ties: TiePoints) -> list[Index]:
     """Points (m,) that were measured in the same images, for each set of these."""
     order = np.lexsort((frames.image, ties.measure_point))
     sets = np.split(frames.image[order], np.cumsum(frames.count)[:-1])
-    groups: dict[bytes, list[int]] = {}
-    for i, images in enumerate(sets):
-        groups.setdefault(images.tobytes(), []).append(i)
+    groups = grouped((images.tobytes(), i) for i, images in enumerate(sets))
     return [np.array(members, dtype=np.int64) for members in groups.values()]
 
 

@@ -31,7 +31,7 @@ from mgsgraph.matching.patches import (
 )
 from mgsgraph.matching.scene import Pair, Scene, boxes, joined, pairs_of, require_unblocked
 from mgsgraph.matching.settings import MatchSettings
-from mgsgraph.names import Names, RepeatedNames
+from mgsgraph.names import Names, RepeatedNames, grouped
 from mgsgraph.record import Record
 from mgsgraph.text import listed
 from mgsgraph.workers import Progress, no_progress
@@ -373,9 +373,7 @@ def _second_look(
 ) -> Measured:
     """Features that did not fit a track's reference may fit each other: such tracks are split and measured again."""
     unfit = np.flatnonzero(~_acceptable(first, settings) | ~first.returns)
-    tracks = dict[int, list[int]]()
-    for k in unfit.tolist():
-        tracks.setdefault(int(first.track[k]), []).append(int(first.feature[k]))
+    tracks = grouped(zip(first.track[unfit].tolist(), first.feature[unfit].tolist(), strict=True))
     remeasured = measured(scene, links, [track for track in tracks.values() if len(track) > 1], sharp, settings, step)
     return remeasured._replace(track=remeasured.track + offset)
 

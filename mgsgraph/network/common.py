@@ -14,6 +14,7 @@ import numpy as np
 
 from mgsgraph.errors import require
 from mgsgraph.geometry.records import Array, Index, assign, by_value, frozen, frozen_index, no_rows
+from mgsgraph.names import grouped
 from mgsgraph.network.records import ImageRays, LinearRows, Surface
 from mgsgraph.record import Record
 
@@ -268,9 +269,8 @@ def _links(
     for g, members in enumerate(groups):
         number[members] = g
     ends = np.sort(np.stack([number[rows] for rows in pairs], axis=1), axis=1)
-    before = dict[int, list[int]]()
-    for earlier, later in np.unique(ends[(ends[:, 0] != ends[:, 1]) & (ends[:, 0] >= 0)], axis=0).tolist():
-        before.setdefault(later, []).append(earlier)
+    ends = np.unique(ends[(ends[:, 0] != ends[:, 1]) & (ends[:, 0] >= 0)], axis=0)
+    before = grouped((later, earlier) for earlier, later in ends.tolist())
     linked = {g for later, earlier_groups in before.items() for g in (later, *earlier_groups)}
     scores, links = {g: np.linalg.pinv(loads[g]) for g in linked}, list[LinearRows]()
     for later, earlier_groups in before.items():

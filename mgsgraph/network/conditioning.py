@@ -220,16 +220,11 @@ def _windows(
     among = np.where(both_present, _covariance(processes, axis, nodes, near[:, :, None], near[:, None, :]), 0.0)
     across = np.where(present, _covariance(processes, axis, nodes, near, moments[:, None]), 0.0)
     variance = _covariance(processes, axis, nodes, moments, moments)
-    nugget = _nugget(processes, axis)
+    nugget = float(NUGGET**2 * sum(process.sigmas[axis] ** 2 for process in processes if process.stationary))
     diagonal = np.arange(size)
     among[:, diagonal, diagonal] = np.where(present, among[:, diagonal, diagonal] + nugget, 1.0)
     root, along = _factorised(among, across)
     return root, along, variance + nugget
-
-
-def _nugget(processes: Sequence[Process], axis: int) -> float:
-    """Variance, m^2 or rad^2, that is added."""
-    return float(NUGGET**2 * sum(process.sigmas[axis] ** 2 for process in processes if process.stationary))
 
 
 def _factorised(matrices: Array, right: Array) -> tuple[Array, Array]:

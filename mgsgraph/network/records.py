@@ -431,12 +431,7 @@ def crossovers(
             vague = float(np.linalg.norm(slope) * np.linalg.norm(doubt))
             sigma = float(np.linalg.norm(np.array([pair[0].sigma, pair[1].sigma, vague])))
             rows.append((shots, shares, slope * (not doubt.size), moved[k] - moved[m], sigma))
-    return _as_record(rows) if rows else None
-
-
-def _as_record(rows: Sequence[tuple[Index, Array, Array, Array, float]]) -> Crossovers:
-    shots, shares, gradients, about, sigmas = zip(*rows, strict=True)
-    return Crossovers(np.array(shots), np.array(shares), np.array(gradients), np.array(about), np.array(sigmas))
+    return Crossovers(*map(np.array, zip(*rows, strict=True))) if rows else None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

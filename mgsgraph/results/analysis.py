@@ -23,6 +23,7 @@ from mgsgraph.errors import InputError, require
 from mgsgraph.files.output.folders import ANALYSIS
 from mgsgraph.files.output.table import Column, Table, numbers, picked
 from mgsgraph.geometry.records import Index, joined_rows
+from mgsgraph.names import grouped
 from mgsgraph.results.answers import Questions, curve_section, raster_section, replies
 from mgsgraph.results.ground import leave_out_section
 from mgsgraph.results.section import Section, record_of, sheets_by, table_of, write_sections
@@ -227,9 +228,8 @@ def write_analysis(name: str, sections: Iterable[Section], folder: Path, figures
     InputError
         If the folder holds anything else than an earlier analysis, or can't be written.
     """
-    record, sections = dict[str, Any](), list(sections)
-    for section in sections:
-        record.setdefault(section.name, []).append(section.numbers)
+    sections = list(sections)
+    record = grouped((section.name, section.numbers) for section in sections)
     return write_sections(sections, {"format": 1, "name": name, **record}, folder, ANALYSIS, figures)
 
 

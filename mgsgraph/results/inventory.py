@@ -24,6 +24,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array, Index, by_value, finite_rows, sigmas_of
 from mgsgraph.geometry.trajectory import utc_of_tdb
+from mgsgraph.names import grouped
 from mgsgraph.network import Network, NodePrior, Pass, PointClass, SharedKind
 from mgsgraph.network.connectivity import (
     WEAKEST,
@@ -250,10 +251,11 @@ def _unknowns_table(network: Network) -> Table:
 
 def _mounting_rows(pass_: Pass, names: Sequence[str]) -> list[tuple[str, str, str]]:
     """How the cameras of a pass are turned against that of its first image."""
-    images_by_angles = dict[str, list[str]]()
     mountings = np.zeros((0, 3)) if pass_.axes is None else mounting_angles(pass_.axes) / DEG
-    for j, angles in zip(pass_.images.tolist(), mountings.tolist(), strict=False):
-        images_by_angles.setdefault(", ".join(f"{angle:+.4f}" for angle in angles), []).append(names[j])
+    images_by_angles = grouped(
+        (", ".join(f"{angle:+.4f}" for angle in angles), names[j])
+        for j, angles in zip(pass_.images.tolist(), mountings.tolist(), strict=False)
+    )
     first, *others = images_by_angles.items() or [("", [])]
     return [(f"mounted at {angles_text} deg (about x, y, z of {first[1][0]})", some(mounted), "")
             for angles_text, mounted in others]  # fmt: skip

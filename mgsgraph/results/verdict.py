@@ -19,6 +19,7 @@ from mgsgraph.analysis.verdict import LEVEL, Cause, Reason, State, Verdict, leve
 from mgsgraph.files.output.table import Table
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
+from mgsgraph.names import grouped
 from mgsgraph.network import Network
 from mgsgraph.results.section import Section, record_of, table_of
 from mgsgraph.text import length, listed, many, short, some, two
@@ -85,11 +86,8 @@ def group_tests_table(assessment: Verdict) -> Table:
 
 def reason_sentences(reasons: Sequence[Reason]) -> list[str]:
     """One sentence for each cause: its gravest reason, and the number of similar ones."""
-    of_cause = dict[Cause, list[Reason]]()
-    for reason in reasons:
-        of_cause.setdefault(reason.cause, []).append(reason)
     sentences = []
-    for same_cause in of_cause.values():
+    for same_cause in grouped((reason.cause, reason) for reason in reasons).values():
         similar = f" ({many(len(same_cause) - 1, 'similar result')}.)" if len(same_cause) > 1 else ""
         sentences.append(_reason_sentence(same_cause[0]) + similar)
     return sentences
@@ -272,10 +270,7 @@ def _member_names(solution: Solution, group: Contributions) -> list[str]:
 
 def reading_statements(images: Sequence[PushbroomImage]) -> list[str]:
     """One sentence for each remark of the readers of images, with the images that it is of."""
-    of_remark = dict[str, list[str]]()
-    for image in images:
-        for remark in image.remarks:
-            of_remark.setdefault(remark, []).append(image.name)
+    of_remark = grouped((remark, image.name) for image in images for remark in image.remarks)
     return [f"As read, {some(names)}: {remark}." for remark, names in of_remark.items()]
 
 

@@ -9,6 +9,7 @@ from mgsgraph.files.output.table import plain
 from mgsgraph.geometry.body import east_north_up, ellipsoidal_heights
 from mgsgraph.geometry.records import Array, Index, Mask, finite_rows, thinned
 from mgsgraph.geometry.terrain import areoid_heights
+from mgsgraph.names import grouped
 from mgsgraph.network import PointClass
 from mgsgraph.studio.linked import NEIGHBOURS, weights_by_distance
 from mgsgraph.studio.opened import Block
@@ -94,9 +95,7 @@ def laser_profiles(block: Block) -> list[tuple[str, Index]]:
     if shifts is not None:
         profile = np.asarray(shifts.profile)[laser].tolist()
         owner = [shifts.names[k] if k >= 0 else name for k, name in zip(profile, owner, strict=True)]
-    profiles = dict[str, list[int]]()
-    for name, point in zip(owner, laser.tolist(), strict=True):
-        profiles.setdefault(name, []).append(point)
+    profiles = grouped(zip(owner, laser.tolist(), strict=True))
     return [(name, np.array(members)) for name, members in profiles.items()]
 
 

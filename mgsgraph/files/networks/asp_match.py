@@ -40,7 +40,7 @@ from mgsgraph.files.networks.record import ControlNetwork, MeasureType, PointTyp
 from mgsgraph.files.networks.tie_points import PointArrays
 from mgsgraph.files.opening import number_of, read_bytes
 from mgsgraph.geometry.records import Array, Index, place_of
-from mgsgraph.names import Names, RepeatedNames
+from mgsgraph.names import Names, RepeatedNames, grouped
 from mgsgraph.text import root_mean_square, some
 
 _COUNTS = np.dtype("<u8")
@@ -318,9 +318,7 @@ def images_of(path: Path, known: Collection[str] = (), prefix: str | None = None
 
 def _image_pairs(name: str, known: Collection[str], prefix: str | None) -> list[tuple[str, str]]:
     """Every pair of images that a name can mean."""
-    of_stems: dict[str, list[str]] = {}
-    for image in known:
-        of_stems.setdefault(stem(image), []).append(image)
+    of_stems = grouped((stem(image), image) for image in known)
     pairs = []
     for k in range(1, len(name) - len(_BETWEEN)):
         if not name.startswith(_BETWEEN, k):
