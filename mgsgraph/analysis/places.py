@@ -24,7 +24,7 @@ from mgsgraph.geometry.body import (
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.intersection import meet_terrain
 from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.geometry.records import Array, Index, Mask, finite_rows
+from mgsgraph.geometry.records import Array, Index, Mask, all_pairs, finite_rows
 from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network import ImageRays
@@ -119,7 +119,7 @@ def sigma_grid(
     west, north, steps, rows, columns = _extent(posterior, numbers, names, height, cell)
     longitude = west + steps[0] * (np.arange(columns) + 0.5)
     latitude = north - steps[1] * (np.arange(rows) + 0.5)
-    ground = _ground(posterior, np.stack(np.meshgrid(longitude, latitude), axis=-1).reshape(-1, 2), height)
+    ground = _ground(posterior, all_pairs(longitude, latitude), height)
     visible, places = _seen(posterior, numbers, ground)
     several = np.flatnonzero(visible.sum(axis=1) >= 2)
     if several.size == 0:

@@ -17,7 +17,7 @@ from mgsgraph.files.rasters.pictures import read_picture
 from mgsgraph.geometry.body import ellipsoidal_heights
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
-from mgsgraph.geometry.records import Array, finite_rows
+from mgsgraph.geometry.records import Array, all_pairs, finite_rows
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.matching.scene import Ground, GroundChart, Picture, Scene
 
@@ -130,8 +130,8 @@ def _places(images: Sequence[PushbroomImage], height: float) -> Array:
     """(n, 3) m, corners and middles of the images' sides and themselves, those that see the body."""
     parts = []
     for image in images:
-        lines, samples = np.meshgrid(np.linspace(0.0, image.lines, 9), np.linspace(0.0, image.samples, 3))
-        parts.append(image.image_to_ground(lines.ravel(), samples.ravel(), height)[0])
+        lines, samples = all_pairs(np.linspace(0.0, image.lines, 9), np.linspace(0.0, image.samples, 3)).T
+        parts.append(image.image_to_ground(lines, samples, height)[0])
     places = np.concatenate(parts)
     places = places[finite_rows(places)]
     require(places.size != 0, "images to match", "none that sees the body", "images of the ground")

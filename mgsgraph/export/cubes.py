@@ -57,7 +57,7 @@ from mgsgraph.files.writing import account, fresh_file, write_file, writing_to
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.geometry.records import Array, finite_rows
+from mgsgraph.geometry.records import Array, all_pairs, finite_rows
 from mgsgraph.text import listed, many, some
 from mgsgraph.units import KM
 
@@ -405,7 +405,7 @@ def _compared(path: Path, image: PushbroomImage, correction: OrientationCorrecti
 
 def _distance(cube: PushbroomImage, image: PushbroomImage, correction: OrientationCorrection | None) -> float:
     """px, largest distance at 25 pixels of a cube's camera from another; NaN where that sees no ground."""
-    lines, samples = (axis.ravel() for axis in np.meshgrid(_PLACES * image.lines, _PLACES * image.samples))
+    lines, samples = all_pairs(_PLACES * image.lines, _PLACES * image.samples).T
     ground, _ = image.image_to_ground(lines, samples, 0.0, correction)
     seen, _ = cube.ground_to_image(ground)
     off = np.linalg.norm(seen - np.column_stack([lines, samples]), axis=1)[finite_rows(ground)]

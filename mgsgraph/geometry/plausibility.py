@@ -12,7 +12,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import Ellipsoid, distances, nearness, require_possible, surface_radii
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
-from mgsgraph.geometry.records import Array, finite_rows
+from mgsgraph.geometry.records import Array, all_pairs, finite_rows
 from mgsgraph.geometry.trajectory import PositionTable, Trajectory
 from mgsgraph.units import KM
 
@@ -239,9 +239,7 @@ def _same(first: PushbroomImage, second: PushbroomImage) -> bool:
     stops = [image.trajectory.epoch + image.timing.at(end)[0][0] for image in (first, second)]
     if abs(stops[0] - stops[1]) > _LINES * first.timing.periods.max():
         return False
-    lines, samples = (axis.ravel() for axis in np.meshgrid(
-        np.linspace(0.0, first.lines, 3), np.linspace(0.0, first.samples, 3)
-    ))  # fmt: skip
+    lines, samples = all_pairs(np.linspace(0.0, first.lines, 3), np.linspace(0.0, first.samples, 3)).T
     ground, slopes = first.image_to_ground(lines, samples)
     distances = np.linalg.norm(second.image_to_ground(lines, samples)[0] - ground, axis=1)
     pixel = np.linalg.norm(slopes, axis=1).max(axis=1)

@@ -79,6 +79,11 @@ def joined_rows(parts: Iterable[Index]) -> Index:
     return np.concatenate([no_rows(), *parts])
 
 
+def all_pairs(x: ArrayLike, y: ArrayLike) -> NDArray[Any]:
+    """(n, 2) each number of x (m,) for the first of y (k,), then for the second, and so on."""
+    return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+
+
 def thinned(size: int, most: int | None) -> Index:
     """All of `size` indices, or `most` of them, evenly spread from the first to the last."""
     if most is None or size <= most:

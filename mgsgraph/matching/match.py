@@ -14,7 +14,7 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.tie_points import PointKind, TiePoints
-from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen, no_rows, place_of, sigmas_of
+from mgsgraph.geometry.records import Array, Index, Mask, all_pairs, assign, frozen, no_rows, place_of, sigmas_of
 from mgsgraph.matching.checks import cell_numbers, checked_measures, pair_signs, spread
 from mgsgraph.matching.coarse import Agreement, Aligned, aligned_pictures, window
 from mgsgraph.matching.least_squares import MatchStatus
@@ -287,7 +287,7 @@ def ground_cells(scene: Scene, pairs: Sequence[Pair], count: int, least: float =
     cells = [no_rows()]
     for picture, ((west, south), (east, north)) in zip(scene.pictures, boxes(scene), strict=True):
         columns, rows = np.arange(west // side, east // side + 1), np.arange(south // side, north // side + 1)
-        middle = (np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2) + 0.5) * side
+        middle = (all_pairs(columns, rows) + 0.5) * side
         pixels = picture.project(scene.ground.points(middle))
         inside = np.all((pixels > 0.0) & (pixels < [picture.image.lines, picture.image.samples]), axis=1)
         cells.append(cell_numbers(middle[inside], side))

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from mgsgraph.errors import library
 from mgsgraph.geometry.body import in_turn
-from mgsgraph.geometry.records import Array, Index, finite_rows, joined_rows
+from mgsgraph.geometry.records import Array, Index, all_pairs, finite_rows, joined_rows
 from mgsgraph.geometry.terrain import refined
 from mgsgraph.matching.scene import Ground, Picture, Scene
 
@@ -122,8 +122,7 @@ def ortho_patch(picture: Picture, ground: Ground, tile: Tile) -> Patch | None:
 def node_pixels(picture: Picture, ground: Ground, tile: Tile) -> Array:
     """(rows', columns', 2) line and sample of every sixteenth pixel, beyond the tile's last one; NaN where unseen."""
     columns, rows = (np.arange(-(-count // NODE) + 1) * float(NODE) for count in (tile.columns, tile.rows))
-    across, along = np.meshgrid(columns, rows)
-    points = ground.points(tile.plane(across.ravel(), along.ravel()))
+    points = ground.points(tile.plane(*all_pairs(columns, rows).T))
     return picture.project(points).reshape(rows.size, columns.size, 2)
 
 

@@ -30,7 +30,7 @@ from mgsgraph.geometry.body import ellipsoidal_heights
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.geometry.records import Array, Index, Mask, finite_rows
+from mgsgraph.geometry.records import Array, Index, Mask, all_pairs, finite_rows
 from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.network.joining import seconds
 from mgsgraph.record import Record
@@ -258,7 +258,7 @@ def visible_places(image: PushbroomImage, points: Array, correction: Orientation
 def _near(image: PushbroomImage, points: Array, correction: OrientationCorrection | None) -> Index:
     """Points that are near the image's own ground."""
     edge = np.array([0.0, 0.5, 1.0])
-    lines, samples = (part.ravel() for part in np.meshgrid(edge * image.lines, edge * image.samples, indexing="ij"))
+    samples, lines = all_pairs(edge * image.samples, edge * image.lines).T
     ground, _ = image.image_to_ground(lines, samples, correction=correction)
     if not np.all(np.isfinite(ground)):
         return np.arange(len(points))

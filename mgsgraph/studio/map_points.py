@@ -14,7 +14,7 @@ from mgsgraph.analysis.statistics import medians, span
 from mgsgraph.errors import InputError, require
 from mgsgraph.files.output.table import digits, plain
 from mgsgraph.geometry.body import east_north_up, from_planetocentric, places_at, planetocentric
-from mgsgraph.geometry.records import Array, Index, Mask, finite_rows, thinned
+from mgsgraph.geometry.records import Array, Index, Mask, all_pairs, finite_rows, thinned
 from mgsgraph.network import PointClass
 from mgsgraph.studio.marks import projected
 from mgsgraph.studio.opened import Block, Opened
@@ -248,7 +248,7 @@ def shaded_relief(opened: Opened, box: Array, size: tuple[float, float]) -> Arra
     columns, rows = pixels_of(size)
     x = box[0] + (np.arange(columns) + 0.5) * (box[2] - box[0]) / columns
     y = box[3] - (np.arange(rows) + 0.5) * (box[3] - box[1]) / rows
-    plane = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    plane = all_pairs(x, y)
     heights = terrain.at(places_at(plane, opened.centre)).reshape(rows, columns)
     down, right = np.gradient(heights, (box[3] - box[1]) / rows, (box[2] - box[0]) / columns)
     normal = np.stack([-right, down, np.ones_like(right)], axis=-1)  # rows go southward

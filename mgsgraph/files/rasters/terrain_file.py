@@ -27,7 +27,7 @@ from mgsgraph.geometry.body import (
     in_turn,
     planetocentric,
 )
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, all_pairs
 from mgsgraph.geometry.terrain import PostLattice, TerrainGrid, TerrainKind, between_nodes, window
 from mgsgraph.units import DEG, KM
 
@@ -264,7 +264,7 @@ class TerrainRaster:
     def _extent(self) -> tuple[Array, Array, Array]:
         """Least and largest longitude and latitude of its posts, and steps as wide as those between them; (2,) rad."""
         last, level = np.array(self.values.shape) - 1.0, float(np.nanmean(self.values))
-        row, column = (axis.ravel() for axis in np.meshgrid(*(np.linspace(0.0, end, _OUTLINE) for end in last)))
+        row, column = all_pairs(*(np.linspace(0.0, end, _OUTLINE) for end in last)).T
         longitudes, latitudes, radii = planetocentric(self.points(row, column, np.full(row.size, level))).T
         longitudes = in_turn(longitudes, float(np.angle(np.mean(np.exp(1j * longitudes)))))
         low, high = (np.array([cut(longitudes), cut(latitudes)]) for cut in (np.nanmin, np.nanmax))

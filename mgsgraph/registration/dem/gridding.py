@@ -35,7 +35,7 @@ from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.errors import InputError
 from mgsgraph.files.rasters.raster_file import equal_area_crs, wkt2
 from mgsgraph.geometry.body import Ellipsoid, east_north_up, from_planetocentric, planetocentric
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, all_pairs
 from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.geometry.terrain import between_nodes
 from mgsgraph.matching.scene import Ground, GroundChart, Picture, Scene
@@ -281,7 +281,7 @@ class MapGrid(Record):
         """(rows * columns, 2) m, x and y of all posts, row after row."""
         x = self.west + (np.arange(self.columns) + 0.5) * self.post
         y = self.north - (np.arange(self.rows) + 0.5) * self.post
-        return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+        return all_pairs(x, y)
 
     def pixels(self, plane: Array) -> Array:
         """(n, 2) row and column of positions (n, 2) in m, the first post at (0, 0)."""
