@@ -5,18 +5,16 @@ variables. `graph.linearize(values)` doesn't. And GTSAM's Cholesky takes columns
 an indeterminate system: here columns are scaled to unit length before they are factored (van der Sluis 1969).
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 
-from mgsgraph.adjustment.settings import Iteration
+from mgsgraph.adjustment.settings import Iteration, Progress
 from mgsgraph.errors import InputError, WeakNetwork, require
-from mgsgraph.geometry.records import Array, no_rows
+from mgsgraph.geometry.records import Array, Index, no_rows
 from mgsgraph.record import Record, card
 from mgsgraph.workers import no_progress
 
@@ -126,7 +124,7 @@ class _Factored:
     def _solved_outer(self, right: Array) -> Array:
         return right if self._reduced is None else np.asarray(self._reduced.solve(right))
 
-    def covariance(self, columns: NDArray[np.int64], structure: _Structure) -> Array:
+    def covariance(self, columns: Index, structure: _Structure) -> Array:
         """(k, k) of N^-1 at some columns: B^-1 + G S^-1 G', where G is how these depend on the outer ones."""
         number = np.cumsum(structure.inner) - 1
         inner = np.flatnonzero(structure.inner[columns])
@@ -140,7 +138,7 @@ class _Factored:
         return np.asarray(0.5 * (inverse + inverse.T))
 
 
-def _inverted_blocks(diagonal: Any, blocks: list[tuple[int, NDArray[np.int64]]]) -> Any:
+def _inverted_blocks(diagonal: Any, blocks: list[tuple[int, Index]]) -> Any:
     """Inverse of a block-diagonal matrix, sparse; raises LinAlgError where a block isn't positive definite."""
     from scipy.sparse import csr_array
 
@@ -204,7 +202,7 @@ class _Linearized:
 def optimize(
     graph: gtsam.NonlinearFactorGraph,
     values: gtsam.Values,
-    progress: Callable[[Iteration], None] = no_progress,
+    progress: Progress = no_progress,
     *,
     max_iterations: int = 200,
     cost_tolerance: float = 1e-10,

@@ -9,7 +9,7 @@ The posterior of some points alone: their rows, and the covariance, known alread
 and the covariances of one point with all others of a network.
 """
 
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -42,7 +42,7 @@ from mgsgraph.kernel.sweep import COSTS, point_covariances, reduce
 from mgsgraph.names import numbered
 from mgsgraph.network import ImageRays, Network
 from mgsgraph.network.corrections import adjusted_image, designs, whole_correction
-from mgsgraph.network.parts import Unknown, select_points, unknowns
+from mgsgraph.network.parts import ByUnknown, Unknown, select_points, unknowns
 from mgsgraph.record import Record
 
 _AXES = COMPONENTS[:3]
@@ -329,7 +329,7 @@ def is_self_contained(network: Network) -> bool:
 
 
 def posterior_of(
-    network: Network, settings: SolverSettings, values: Mapping[Unknown, Array], places: Array,
+    network: Network, settings: SolverSettings, values: ByUnknown, places: Array,
     joint: Callable[[Sequence[Unknown]], Array],
 ) -> Posterior:  # fmt: skip
     """The posterior of a part of what was adjusted.

@@ -42,7 +42,7 @@ of a process has a strength of its own, exp(`_LESS`) of that of what they don't 
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -51,7 +51,7 @@ import numpy as np
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.marginals import dense_covariance as mixture_covariance
 from mgsgraph.adjustment.rounds import unmarked
-from mgsgraph.adjustment.settings import Iteration, SolverSettings
+from mgsgraph.adjustment.settings import Progress, SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.analysis.separability import LIMIT
@@ -316,7 +316,7 @@ def estimated_strengths(
     most: int = 15,
     tolerance: float = 0.01,
     name: str = "adjustment",
-    progress: Callable[[Iteration], None] = no_progress,
+    progress: Progress = no_progress,
     in_common: bool = False,
 ) -> EstimatedStrengths:
     """Find the strengths of all processes that are marked as `estimated`, and carry what is not known of them into the

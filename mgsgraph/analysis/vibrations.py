@@ -25,7 +25,7 @@ import numpy as np
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.cluster.connection import Connection
-from mgsgraph.adjustment.settings import Iteration, SolverSettings
+from mgsgraph.adjustment.settings import Progress, SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.process_strengths import estimated_strengths
 from mgsgraph.analysis.residual_spectrum import residual_vibrations
@@ -152,7 +152,7 @@ def estimated_vibrations(
     network: Network,
     settings: SolverSettings,
     name: str = "adjustment",
-    progress: Callable[[Iteration], None] = no_progress,
+    progress: Progress = no_progress,
     adjust: Callable[..., Solution] = adjust_network,
     passes: Sequence[str] = (),
 ) -> EstimatedVibrations:
@@ -224,7 +224,7 @@ def with_lines(network: Network, owners: Owners, lines: Sequence[Line]) -> Netwo
 
 def _refined(
     network: Network, owners: Owners, lines: list[Line], settings: SolverSettings, name: str,
-    progress: Callable[[Iteration], None],
+    progress: Progress,
 ) -> tuple[list[Line], bool]:
     """Lines with refined frequencies, and whether these converged; with what their drifts may be."""
     rough = replace(settings, step_tolerance=max(settings.step_tolerance, _ROUGH))
@@ -284,7 +284,7 @@ def _chosen(line: Line, at: _Drifts, drifts: bool) -> Line:
 
 
 def adjusted(
-    network: Network, settings: SolverSettings, name: str, progress: Callable[[Iteration], None],
+    network: Network, settings: SolverSettings, name: str, progress: Progress,
     vibrating: Sequence[str] = (), workers: Connection | None = None,
 ) -> tuple[Solution, list[str]]:
     """An adjustment with all that is to be found on the way, strengths of processes and vibrations of passes, and what
@@ -293,7 +293,7 @@ def adjusted(
     sentences = list[str]()
 
     def once(
-        network: Network, settings: SolverSettings, name: str, progress: Callable[[Iteration], None]
+        network: Network, settings: SolverSettings, name: str, progress: Progress
     ) -> Solution:
         if not any(pass_.asks_for_strengths for pass_ in network.passes):
             return adjust_network(network, settings, name, progress, workers)

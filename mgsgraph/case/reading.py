@@ -3,7 +3,7 @@
 Paths are relative to the case file.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from msgspec import structs
 
-from mgsgraph.adjustment.settings import Iteration, SolverSettings
+from mgsgraph.adjustment.settings import Progress, SolverSettings
 from mgsgraph.case.assembly import Parts, in_images, merged, with_sigmas
 from mgsgraph.case.case_file import decode, instruments, read_images
 from mgsgraph.case.case_file import read_image as read_image
@@ -318,7 +318,7 @@ def _require_seeing_images(network: Network, notes: Sequence[str]) -> None:
         )
 
 
-def adjust(case: Case, progress: Callable[[Iteration], None] = no_progress) -> "Solution":
+def adjust(case: Case, progress: Progress = no_progress) -> "Solution":
     """Adjust a case, strengths of processes and vibrations that it wants estimated found on the way; see
     `mgsgraph.adjustment.adjust.adjust_network`, `mgsgraph.analysis.vibrations.adjusted`.
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from mgsgraph.errors import library
 from mgsgraph.geometry.body import in_turn
-from mgsgraph.geometry.records import Array, Index, all_pairs, finite_rows, joined_rows
+from mgsgraph.geometry.records import Array, Index, Mask, all_pairs, finite_rows, joined_rows
 from mgsgraph.geometry.terrain import refined
 from mgsgraph.matching.scene import Ground, Picture, Scene
 
@@ -70,7 +70,7 @@ class Tile(NamedTuple):
             axes.append(np.rint((lines - start) / self.step).astype(np.int64))
         return axes[0], axes[1]
 
-    def owns(self, plane: Array) -> NDArray[np.bool_]:
+    def owns(self, plane: Array) -> Mask:
         """(n,) which positions (n, 2) of the chart lie in the tile without its margin."""
         column, row = (plane[:, 0] - self.west) / self.step, (plane[:, 1] - self.south) / self.step
         inside = (column >= self.margin - 0.5) & (column < self.columns - self.margin - 0.5)
@@ -362,7 +362,7 @@ def _best(left: Features, right: Features, window: Window, step: float, ratio: f
     return best, likeness
 
 
-def _candidates(left: Features, right: Features, some: slice, near: slice, window: Window) -> NDArray[np.bool_]:
+def _candidates(left: Features, right: Features, some: slice, near: slice, window: Window) -> Mask:
     away = right.plane[near][None] - left.plane[some][:, None]
     along = away @ window.direction
     across = away @ np.array([-window.direction[1], window.direction[0]])

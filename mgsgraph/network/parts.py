@@ -1,6 +1,6 @@
 """Networks taken apart into bundles (points that depend on the same shared unknowns) and put together again."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
@@ -71,6 +71,8 @@ def image_columns(given: Sequence[KnownImage]) -> tuple[tuple[PushbroomImage, ..
     return tuple(image.image for image in given), tuple(image.prior for image in given), held
 
 
+ByUnknown = Mapping[Unknown, Array]
+"""Numbers of each unknown, (d,)."""
 Members = tuple[Unknown, ...]
 """The shared unknowns that points depend on, in order; they identify a bundle. A held image has none. The orientation
 images among them are those about the measured lines; a reduced system may have others, of the predicted lines."""

@@ -1,6 +1,6 @@
 """Network state from which a plan begins: the adjusted network, linearised at its solution, with its covariance."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,6 +25,7 @@ from mgsgraph.network import Network
 from mgsgraph.network.corrections import whole_correction
 from mgsgraph.network.joining import Definitions, definitions, united, with_definitions
 from mgsgraph.network.parts import (
+    ByUnknown,
     KnownImage,
     Unknown,
     alone,
@@ -45,7 +46,7 @@ class NetworkState:
     """Points that have a place, and the rows that take part."""
     settings: SolverSettings
     """Measurement model and loss."""
-    values: Mapping[Unknown, Array]
+    values: ByUnknown
     """Shared unknowns (d,), m and rad; those that are missing are zero."""
     places: Array
     """(n, 3) m, of the points."""
@@ -70,7 +71,7 @@ def joined_networks(networks: Sequence[Network]) -> Network:
 
 
 def correction_of(
-    known: KnownImage, settings: SolverSettings, values: Mapping[Unknown, Array], passes: Definitions
+    known: KnownImage, settings: SolverSettings, values: ByUnknown, passes: Definitions
 ) -> OrientationCorrection:
     """Whole orientation correction of an image at values of unknowns; those that are missing are zero."""
     net, image = with_definitions(alone(known), passes), Unknown("image", known.image.name)
@@ -102,7 +103,7 @@ def state_of_solution(solution: Solution | NetworkState) -> NetworkState:
 
 
 def network_state(
-    network: Network, settings: SolverSettings, values: Mapping[Unknown, Array], places: Array, rays: Mask, ranges: Mask
+    network: Network, settings: SolverSettings, values: ByUnknown, places: Array, rays: Mask, ranges: Mask
 ) -> NetworkState:
     """Leave out of a network what takes no part.
 
@@ -137,7 +138,7 @@ class ReducedNetwork:
     """
 
     def __init__(
-        self, network: Network, settings: SolverSettings, values: Mapping[Unknown, Array], places: Array
+        self, network: Network, settings: SolverSettings, values: ByUnknown, places: Array
     ) -> None:
         self.network, self.names = network, unknowns(network)
         layout = lay_out(network, settings, places)

@@ -24,7 +24,7 @@ from mgsgraph.adjustment.incremental.state import ReducedSystem, stretches
 from mgsgraph.errors import SolverError
 from mgsgraph.geometry.records import Array
 from mgsgraph.names import grouped
-from mgsgraph.network.parts import Members, Unknown
+from mgsgraph.network.parts import ByUnknown, Members, Unknown
 
 _WILDFIRE = 1e-7
 """A-priori sigmas: smaller changes are not passed on (1e-4 posterior sigmas where the posterior is a thousand times
@@ -131,7 +131,7 @@ class Tree:
 
     def change(
         self,
-        new: Mapping[Unknown, Array] | None = None,
+        new: ByUnknown | None = None,
         systems: Mapping[Members, ReducedSystem] | None = None,
         replaced: Iterable[Members] = (),
         dropped: Iterable[Unknown] = (),

@@ -42,6 +42,7 @@ from mgsgraph.network.corrections import whole_correction
 from mgsgraph.network.joining import Definitions, definitions, with_definitions
 from mgsgraph.network.observations import build_network
 from mgsgraph.network.parts import (
+    ByUnknown,
     KnownImage,
     Members,
     Unknown,
@@ -56,7 +57,7 @@ from mgsgraph.units import ARCSEC
 from mgsgraph.workers import no_progress
 
 if TYPE_CHECKING:
-    from mgsgraph.adjustment.rounds import Progress
+    from mgsgraph.adjustment.settings import Progress
     from mgsgraph.adjustment.solution import Solution
 
 Observations = TiePoints | LaserProfile | Sequence[TiePoints | LaserProfile]
@@ -114,7 +115,7 @@ class IncrementalAdjustment(Record):
         return self.store.image_names()
 
     @property
-    def values(self) -> Mapping[Unknown, Array]:
+    def values(self) -> ByUnknown:
         """Present values (d,) of all shared unknowns, m and rad."""
         return dict(self._engine.value)
 

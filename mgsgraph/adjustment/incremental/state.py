@@ -21,6 +21,7 @@ from mgsgraph.geometry.rotation import skew
 from mgsgraph.network import HELD, Network, SharedKind
 from mgsgraph.network.joining import Definitions, NamedPass, NamedShared, definitions, seconds, with_definitions
 from mgsgraph.network.parts import (
+    ByUnknown,
     KnownImage,
     Members,
     Unknown,
@@ -64,7 +65,7 @@ class ReducedSystem:
             assign(self, **{name: frozen(getattr(self, name), f"reduced system, {name}", shape)})
 
 
-def stretches(unknowns: Sequence[Unknown], vectors: Mapping[Unknown, Array]) -> dict[Unknown, slice]:
+def stretches(unknowns: Sequence[Unknown], vectors: ByUnknown) -> dict[Unknown, slice]:
     """Slices of some unknowns in their joint vector, in this order; `vectors` has one (d,) of each."""
     ends = accumulate((vectors[unknown].size for unknown in unknowns), initial=0)
     return {unknown: slice(*two) for unknown, two in zip(unknowns, pairwise(ends), strict=True)}
@@ -93,6 +94,10 @@ class Bundle:
         for name, shape in (("places", (n, 3)), ("covariances", (n, 3, 3))):
             values = np.array(getattr(self, name), dtype=np.float64).reshape(shape)
             assign(self, **{name: read_only(values)})
+
+
+Bundles = Mapping[Members, Bundle]
+"""Bundles by the unknowns that identify them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -187,10 +192,10 @@ class StateStore(Protocol):
     def drop_shared(self, unknowns: Iterable[Unknown]) -> None:
         """Remove shared unknowns from the store."""
 
-    def replace(self, removed: Iterable[Members], new: Mapping[Members, Bundle]) -> None:
+    def replace(self, removed: Iterable[Members], new: Bundles) -> None:
         """Remove bundles and add others, none of which is stored."""
 
-    def renew(self, bundles: Mapping[Members, Bundle]) -> None:
+    def renew(self, bundles: Bundles) -> None:
         """New systems and places for bundles whose points are the same."""
 
     def definitions(self) -> Definitions:
@@ -286,7 +291,7 @@ class InMemory:
         for unknown in unknowns:
             del self._shared[unknown]
 
-    def replace(self, removed: Iterable[Members], new: Mapping[Members, Bundle]) -> None:
+    def replace(self, removed: Iterable[Members], new: Bundles) -> None:
         """Take bundles out and put others in."""
         for members in removed:
             bundle = self._bundles.pop(members)
@@ -300,7 +305,7 @@ class InMemory:
             for image in bundle.network.images:
                 self._seen_by.setdefault(image.name, {})[members] = None
 
-    def renew(self, bundles: Mapping[Members, Bundle]) -> None:
+    def renew(self, bundles: Bundles) -> None:
         """New systems and places for bundles whose points are the same."""
         self._bundles |= bundles
 

@@ -6,7 +6,7 @@ nodes do not change. One polynomial (four nodes of a `PolynomialPrior`) has no g
 of the first images, and it holds before and after them. Nodes are removed with the last image that needs them.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Protocol
 
@@ -19,7 +19,7 @@ from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
 from mgsgraph.network.joining import Definitions, NamedPass, mountings, seconds, united
-from mgsgraph.network.parts import KnownImage, Members, Unknown, pass_unknowns
+from mgsgraph.network.parts import ByUnknown, KnownImage, Members, Unknown, pass_unknowns
 from mgsgraph.network.passes import PolynomialPrior
 
 _UNTURNED = 1e-3
@@ -161,7 +161,7 @@ def prior_rows(definitions: Definitions) -> list[PriorRows]:
 
 
 def expected(
-    rows: Iterable[PriorRows], new: Mapping[Unknown, Array], values: Mapping[Unknown, Array]
+    rows: Iterable[PriorRows], new: ByUnknown, values: ByUnknown
 ) -> dict[Unknown, Array]:
     """Values (d,) of new unknowns of passes, m and rad, predicted by rows and present values; `new` are their units."""
     rows = [row for row in rows if not set(new).isdisjoint(row.unknowns)]

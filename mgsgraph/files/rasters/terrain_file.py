@@ -27,7 +27,7 @@ from mgsgraph.geometry.body import (
     in_turn,
     planetocentric,
 )
-from mgsgraph.geometry.records import Array, all_pairs
+from mgsgraph.geometry.records import Array, Index, all_pairs
 from mgsgraph.geometry.terrain import PostLattice, TerrainGrid, TerrainKind, between_nodes, window
 from mgsgraph.units import DEG, KM
 
@@ -374,7 +374,7 @@ def _surface(reference: Reference, kind: TerrainKind) -> str:
     return "ellipsoid" if isinstance(reference, Ellipsoid) else "areoid"
 
 
-def _values(file: "DatasetReader", rows: slice, columns: NDArray[np.int64], path: Path) -> NDArray[Any]:
+def _values(file: "DatasetReader", rows: slice, columns: Index, path: Path) -> NDArray[Any]:
     """(rows, columns) m; NaN where a post is missing."""
     from rasterio.windows import Window
 

@@ -407,7 +407,7 @@ def _fitted(
     return posts
 
 
-def _by_cell(points: DensePoints, grid: MapGrid) -> tuple[NDArray[np.int64], Array, Array, Array, NDArray[np.int64]]:
+def _by_cell(points: DensePoints, grid: MapGrid) -> tuple[Index, Array, Array, Array, Index]:
     """Input of the kernel: first point of each cell, positions, covariances along the map's axes in posts, pairs."""
     pixels = grid.pixels(grid.chart.plane(points.positions))
     nearest = np.rint(pixels).astype(np.int64)

@@ -14,7 +14,7 @@ from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.case.schema import CaseInput
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.body import east_north_up, ellipsoidal_heights
-from mgsgraph.geometry.records import Array, sigmas_of
+from mgsgraph.geometry.records import Array, Mask, sigmas_of
 from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.matching.patches import Tile, ortho_patch
 from mgsgraph.matching.scene import Ground, Picture, Scene
@@ -77,7 +77,7 @@ def ortho_tiles(
             yield row, column, np.where(visible, np.maximum(patch.grey[::-1], 1), 0).astype(np.uint8)
 
 
-def _nearest(has_height: NDArray[np.bool_], model: MapGrid, part: MapGrid) -> NDArray[np.bool_]:
+def _nearest(has_height: Mask, model: MapGrid, part: MapGrid) -> Mask:
     """(rows, columns) whether the post of the model in whose cell each pixel of `part` lies has a height."""
     y = part.north - (np.arange(part.rows) + 0.5) * part.post
     x = part.west + (np.arange(part.columns) + 0.5) * part.post

@@ -20,7 +20,7 @@ from mgsgraph.files.pvl import cube_of, read_label
 from mgsgraph.files.rasters.pictures import Pixels, as_bytes, is_moc, read_picture
 from mgsgraph.geometry.body import ellipsoidal_heights
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network.footprints import Misregistration
 from mgsgraph.registration.case import CaseRegistration, ProfileRegistration
 from mgsgraph.results.figures.sheet import (
@@ -141,7 +141,7 @@ def _ordered_profiles(registration: CaseRegistration, j: int) -> list[int]:
     return order[: len(_MARKERS)]
 
 
-def _track_shots(registration: CaseRegistration, j: int, p: int) -> tuple[NDArray[np.int64], Array]:
+def _track_shots(registration: CaseRegistration, j: int, p: int) -> tuple[Index, Array]:
     """Shots (n,) of a profile that fall in an image, and their lines (n,) in order, under the best orientation there
     is; those of one orbit, for a file may hold several: the one taken along with the image, else the longest.
     """
