@@ -487,10 +487,9 @@ class _Moves:
         return PolynomialEffect((self._keys.shared(k),), coefficients, float(self._image.lines))
 
     def of_ray(self, line: float, sample: float) -> list[Effect]:
-        effects = [*self._own, *self._nodes(line - MARGIN, line + MARGIN)]
-        for k in self._shared.acting["rays"][self._j]:
-            effects.append(self._pose[k] if k in self._pose else self._of_interior(k, sample))
-        return effects
+        acting = self._shared.acting["rays"][self._j]
+        shared = (self._pose[k] if k in self._pose else self._of_interior(k, sample) for k in acting)
+        return [*self._own, *self._nodes(line - MARGIN, line + MARGIN), *shared]
 
     def of_range(self, line: float, shares: Array) -> list[Effect]:
         effects = [*self._own, *self._nodes(line, line)]

@@ -47,7 +47,7 @@ from mgsgraph.network import (
     SharedKind,
     SharedUnknown,
 )
-from mgsgraph.network.joining import found_passes, mountings, seconds, sine_over
+from mgsgraph.network.joining import found_passes, mountings, seconds, sine_over, spans
 from mgsgraph.units import DEG, MRAD
 
 _CORRELATION_TIMES = 2.0
@@ -102,7 +102,7 @@ class PassInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
         if self.nodes is not None:
             found = "nodes beside polynomials, which four nodes over the pass carry"
             raise InputError(where, found, "nodes with a process", "take one of the two out")
-        edges, epoch = np.array([seconds(image) for image in pictures]), pictures[0].trajectory.epoch
+        edges, epoch = spans(pictures), pictures[0].trajectory.epoch
         start, stop = float(edges[:, 0].min()) - epoch, float(edges[:, 1].max()) - epoch
         return evenly_spaced("lagrange", epoch, (start, stop), stop - start)
 
@@ -162,7 +162,7 @@ class PassInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 def _longest(pictures: Sequence[PushbroomImage]) -> float:
     """S from the first line of some images to the last one."""
-    edges = np.array([seconds(image) for image in pictures])
+    edges = spans(pictures)
     return float(edges[:, 1].max() - edges[:, 0].min())
 
 

@@ -49,9 +49,14 @@ def seconds(image: PushbroomImage) -> tuple[float, float]:
     return float(start), float(stop)
 
 
+def spans(images: Iterable[PushbroomImage]) -> Array:
+    """(n, 2) the same of several images."""
+    return np.array([image.span for image in images])
+
+
 def sine_over(images: Sequence[PushbroomImage], frequency: float) -> Sine:
     """A vibration of a frequency in Hz over the time of some images."""
-    times = np.array([seconds(image) for image in images])
+    times = spans(images)
     start, stop = float(times.min()), float(times.max())
     return Sine(frequency, 0.5 * (start + stop), 0.5 * (stop - start))
 
@@ -70,7 +75,7 @@ def nominal_poses(images: Sequence[PushbroomImage], times: Array, axes: Array | 
     it, or come nearest; for images may have tables of their own, which end with their lines. Attitudes are those of the
     pass's axes; `axes` (m, 3, 3) is how each camera is mounted against them (`network.passes.Pass`).
     """
-    edges = np.array([seconds(image) for image in images])
+    edges = spans(images)
     beyond = np.maximum(edges[:, :1] - times, times - edges[:, 1:])
     owner = np.maximum(beyond, 0.0).argmin(axis=0)
     parts = [np.empty((times.size, *shape)) for shape in ((3,), (3,), (3, 3), (3,))]
@@ -188,7 +193,7 @@ def _require_close_in_time(images: Sequence[PushbroomImage], where: str) -> None
 
 def _meetings(images: Sequence[PushbroomImage]) -> Iterator[tuple[int, int, Array]]:
     """Images that have a time in common, one < other, and moments of it, s TDB past J2000."""
-    edges = np.array([seconds(image) for image in images])
+    edges = spans(images)
     for first in range(len(images)):
         starts, stops = np.maximum(edges[first, 0], edges[:, 0]), np.minimum(edges[first, 1], edges[:, 1])
         for second in (np.flatnonzero(stops[first + 1 :] > starts[first + 1 :]) + first + 1).tolist():

@@ -38,7 +38,7 @@ from mgsgraph.geometry.terrain import PostLattice, TerrainGrid
 from mgsgraph.names import Names, RepeatedNames
 from mgsgraph.network.common import gap_variances
 from mgsgraph.network.footprints import Registration
-from mgsgraph.network.joining import seconds
+from mgsgraph.network.joining import spans
 from mgsgraph.network.network import Network
 from mgsgraph.network.parts import KnownImage, image_columns, joined
 from mgsgraph.network.records import GroundPoints, ImageRays, PointClass, ProfileShifts, Ranges
@@ -491,7 +491,7 @@ def shots_carried(registration: Registration, owners: Index, passes: Sequence[Me
 def _along_pass(registration: Registration, pass_: Members) -> Index:
     """Carriers among the images of a pass: of the camera that covers most shots; an image's own shots by itself."""
     times, members = registration.shots.times, np.array(pass_.images)
-    edges = np.array([seconds(registration.images[j]) for j in pass_.images])
+    edges = spans(registration.images[j] for j in pass_.images)
     during = (times >= edges[:, 0].min()) & (times <= edges[:, 1].max())
     covered = np.zeros((members.size, times.size), dtype=bool)
     for k, j in enumerate(pass_.images):

@@ -27,7 +27,7 @@ from mgsgraph.names import numbered
 from mgsgraph.network import Network, PointClass, ProfileShifts, Surface
 from mgsgraph.network.common import common_heights
 from mgsgraph.network.duplicates import duplicates
-from mgsgraph.network.joining import Definitions, definitions, joining, seconds, united, with_definitions
+from mgsgraph.network.joining import Definitions, definitions, joining, seconds, spans, united, with_definitions
 from mgsgraph.network.observations import build_network, over_terrain
 from mgsgraph.network.parts import KnownImage, joined, known_images, select_points, with_images
 from mgsgraph.project.decisions import Decisions, decided, measured_by_users
@@ -205,7 +205,7 @@ def _notes_on_passes(stored: Definitions, images: Sequence[PushbroomImage], stor
     """Sentences about images with their own orientation that were taken during a pass of the project."""
     notes = list[str]()
     for pass_ in stored.passes.values():
-        pass_intervals = np.array([seconds(store.image(name).image) for name in pass_.images])
+        pass_intervals = spans(store.image(name).image for name in pass_.images)
         for image in images:
             start, stop = seconds(image)
             if np.any((pass_intervals[:, 0] < stop) & (start < pass_intervals[:, 1])):

@@ -19,7 +19,7 @@ from mgsgraph.geometry.orientation import Angles, OrientationCorrection
 from mgsgraph.geometry.records import Array, assign, frozen, read_only, sigmas_of
 from mgsgraph.geometry.rotation import skew
 from mgsgraph.network import HELD, Network, SharedKind
-from mgsgraph.network.joining import Definitions, NamedPass, NamedShared, definitions, seconds, with_definitions
+from mgsgraph.network.joining import Definitions, NamedPass, NamedShared, definitions, spans, with_definitions
 from mgsgraph.network.parts import (
     ByUnknown,
     KnownImage,
@@ -449,7 +449,7 @@ def shared_pass(pass_: NamedPass, images: Mapping[str, KnownImage], angles: Angl
     Raises InputError where a component has no a-priori sigma: iSAM2 needs one.
     """
     seen_images = [images[name] for name in pass_.images]
-    edges = np.array([seconds(each.image) for each in seen_images]) - pass_.nodes.epoch
+    edges = spans(each.image for each in seen_images) - pass_.nodes.epoch
     sigmas = pass_.prior.node_sigmas(normalised(pass_.nodes))
     if not np.all(np.isfinite(sigmas)):
         expected = "finite sigmas, which iSAM2 needs to begin with"

@@ -18,7 +18,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
-from mgsgraph.network.joining import Definitions, NamedPass, mountings, seconds, united
+from mgsgraph.network.joining import Definitions, NamedPass, mountings, seconds, spans, united
 from mgsgraph.network.parts import ByUnknown, KnownImage, Members, Unknown, pass_unknowns
 from mgsgraph.network.passes import PolynomialPrior
 
@@ -84,7 +84,7 @@ def _over(pass_: NamedPass, images: Sequence[PushbroomImage]) -> NamedPass:
     """A pass with the nodes that its images need."""
     if isinstance(pass_.prior, PolynomialPrior):
         return pass_
-    edges = np.array([seconds(image) for image in images]) - pass_.nodes.epoch
+    edges = spans(images) - pass_.nodes.epoch
     nodes = pass_.nodes.over(float(edges[:, 0].min()), float(edges[:, 1].max()))
     return pass_ if np.array_equal(nodes.times, pass_.nodes.times) else replace(pass_, nodes=nodes)
 
@@ -95,7 +95,7 @@ def _joined_by(store: KnowsImages, pass_: NamedPass, joining: Sequence[Pushbroom
     """
     where = f"pass {pass_.name!r}"
     members = [store.image(name).image for name in pass_.images]
-    edges = np.array([seconds(image) for image in members])
+    edges = spans(members)
     for image in joining:
         start, stop = seconds(image)
         gaps = np.maximum(edges[:, 0] - stop, start - edges[:, 1])
