@@ -13,7 +13,7 @@ from mgsgraph.adjustment.covariances import Linearity
 from mgsgraph.adjustment.drivers import Contributions, Kind, driver_sentences
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis import grouping as groups
-from mgsgraph.analysis.sanity import unexplained_ranges, unexplained_residuals
+from mgsgraph.analysis.sanity import Unexplained, unexplained_ranges, unexplained_residuals
 from mgsgraph.analysis.undetected import POWER, SHIFTS, Undetected
 from mgsgraph.analysis.verdict import LEVEL, Cause, Reason, State, Verdict, level_of_groups, verdict
 from mgsgraph.files.output.table import Table
@@ -276,22 +276,21 @@ def reading_statements(images: Sequence[PushbroomImage]) -> list[str]:
 
 def beyond_priors_statements(network: Network, residuals: Array) -> list[str]:
     """Images whose residuals (k, 2) with the nominal orientation no error within the a-priori sigmas explains."""
-    implausible = [
-        f"{network.images[excess.image].name} {excess.size:.0f} px (expected {excess.expected:.2g})"
-        for excess in unexplained_residuals(network, residuals)
-    ]
+    implausible = _implausible(network, unexplained_residuals(network, residuals), "{:.0f} px")
     return implausible and [
         "residuals with the nominal orientation are larger than a-priori sigmas explain, median of "
         f"{some(implausible)}: images, lines and samples, or labels may be interchanged, or sigmas too small"
     ]
 
 
+def _implausible(network: Network, excesses: Sequence[Unexplained], size: str) -> list[str]:
+    names = network.image_names
+    return [f"{names[each.image]} {size.format(each.size)} (expected {each.expected:.2g})" for each in excesses]
+
+
 def range_statements(network: Network, residuals: Array) -> list[str]:
     """Images whose range residuals (r,) with the nominal orientation no error within the a-priori sigmas explains."""
-    implausible = [
-        f"{network.images[excess.image].name} {excess.size:+.4g} m (expected {excess.expected:.2g})"
-        for excess in unexplained_ranges(network, residuals)
-    ]
+    implausible = _implausible(network, unexplained_ranges(network, residuals), "{:+.4g} m")
     return implausible and [
         "laser ranges minus the distances to their footprints have a mean that no a-priori sigma explains, "
         f"{some(implausible)}: look at the ranges, the footprints' radii and the orbit first"
