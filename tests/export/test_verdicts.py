@@ -103,10 +103,11 @@ def test_rejected_points_are_gone_and_no_others(which: set[int]) -> None:
     of = {name: Verdict.REJECT if i in which else Verdict.ACCEPT for i, name in enumerate(TIES.ids)}
     kept = apply_verdicts(TIES, Verdicts("v.csv", of, network=network_digest(TIES)))
     assert kept.ids == tuple(name for i, name in enumerate(TIES.ids) if i not in which)
-    before = {(TIES.ids[i], image): place for i, image, place in
-              zip(TIES.measure_point.tolist(), TIES.measure_image, TIES.measures.tolist(), strict=True)}  # fmt: skip
-    after = {(kept.ids[i], image): place for i, image, place in
-             zip(kept.measure_point.tolist(), kept.measure_image, kept.measures.tolist(), strict=True)}  # fmt: skip
+    before, after = (
+        {(ties.ids[i], image): place for i, image, place in
+         zip(ties.measure_point.tolist(), ties.measure_image, ties.measures.tolist(), strict=True)}
+        for ties in (TIES, kept)
+    )  # fmt: skip
     assert after == {key: place for key, place in before.items() if key[0] in kept.ids}
 
 
