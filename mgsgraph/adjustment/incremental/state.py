@@ -21,7 +21,6 @@ from mgsgraph.geometry.rotation import skew
 from mgsgraph.network import HELD, Network, SharedKind
 from mgsgraph.network.joining import Definitions, NamedPass, NamedShared, definitions, spans, with_definitions
 from mgsgraph.network.parts import (
-    ByUnknown,
     KnownImage,
     Members,
     Unknown,
@@ -65,7 +64,7 @@ class ReducedSystem:
             assign(self, **{name: frozen(getattr(self, name), f"reduced system, {name}", shape)})
 
 
-def stretches(unknowns: Sequence[Unknown], vectors: ByUnknown) -> dict[Unknown, slice]:
+def stretches(unknowns: Sequence[Unknown], vectors: Mapping[Unknown, Array]) -> dict[Unknown, slice]:
     """Slices of some unknowns in their joint vector, in this order; `vectors` has one (d,) of each."""
     ends = accumulate((vectors[unknown].size for unknown in unknowns), initial=0)
     return {unknown: slice(*two) for unknown, two in zip(unknowns, pairwise(ends), strict=True)}
@@ -351,8 +350,7 @@ def without(
     """Bundles that some images see, and what remains of them; points that no other image sees are removed, too."""
     definitions = store.definitions() if definitions is None else definitions
     replaced = list(dict.fromkeys([*(members for image in images for members in store.seen_by(image)), *turned]))
-    parts = (store.bundle(members).network for members in replaced)
-    rest = [remaining for network in parts if (remaining := without_images(network, images)) is not None]
+    rest = [without_images(store.bundle(members).network, images) for members in replaced]
     return _completed(store, replaced, rest, definitions)
 
 
@@ -362,9 +360,8 @@ def with_points(
 ) -> tuple[list[Members], dict[Members, Network]]:  # fmt: skip
     """Bundles with some points, and what they become when a network replaces these points; None removes them."""
     replaced = sorted({*store.bundles_of(ids).values(), *turned})
-    parts = (store.bundle(members).network for members in replaced)
-    rest = [remaining for part in parts if (remaining := without_points(part, ids)) is not None]
-    return _completed(store, replaced, rest if network is None else [*rest, network], definitions)
+    rest = [without_points(store.bundle(members).network, ids) for members in replaced]
+    return _completed(store, replaced, [*rest, network], definitions)
 
 
 def require_one_body(store: StateStore, new: Sequence[KnownImage]) -> None:
@@ -380,10 +377,10 @@ def require_one_body(store: StateStore, new: Sequence[KnownImage]) -> None:
 
 
 def _completed(
-    store: StateStore, replaced: list[Members], parts: list[Network], definitions: Definitions
+    store: StateStore, replaced: list[Members], remaining: Sequence[Network | None], definitions: Definitions
 ) -> tuple[list[Members], dict[Members, Network]]:
-    """Bundles of some parts, joined with stored bundles of the same unknowns."""
-    parts = [with_definitions(part, definitions) for part in parts]
+    """Bundles of what remains, joined with stored bundles of the same unknowns."""
+    parts = [with_definitions(part, definitions) for part in remaining if part is not None]
     completed = bundles(joined(parts)) if parts else {}
     unchanged = set(store.members()) - set(replaced)
     if touched := [members for members in completed if members in unchanged]:
