@@ -15,7 +15,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import require
 from mgsgraph.factors.records import Array, PushbroomImage
 
 STATE = 13
@@ -86,8 +86,7 @@ def orientation_polynomial(key: int, degree: int, lines: float) -> PolynomialEff
     >>> mgsgraph.factors.orientation_polynomial(X(0), 2, 5000.0).widths
     (18,)
     """
-    if degree < 0:
-        raise InputError("orientation polynomial", f"degree {degree}", "0, 1, 2, ...")
+    require(degree >= 0, "orientation polynomial", f"degree {degree}", "0, 1, 2, ...")
     terms = degree + 1
     coefficients = np.zeros((terms, STATE, 6 * terms))
     coefficients[:, :6] = np.eye(6 * terms).reshape(terms, 6, -1)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mgsgraph.compiled import equation
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.factors.algebra import dot, scale, subtract
 from mgsgraph.factors.effects import STATE, Effect, orientation_polynomial
 from mgsgraph.factors.measurement import Linear, StateAt, Vector, measurement_factor, noise_model, point_names
@@ -107,8 +107,7 @@ def laser_range(
     >>> factor = mgsgraph.factors.laser_range(X(0), L(17), network.images[0], 2500.0, 379872.0, 10.0)
     """
     where = label or ", ".join([*point_names(point), f"range at line {line:g} of image {image.name}"])
-    if not measured > 0.0:
-        raise InputError(where, f"{measured:g} m", "a positive number of meters")
+    require(measured > 0.0, where, f"{measured:g} m", "a positive number of meters")
     if not abs(line) <= _FARTHEST * image.lines:
         remedy = "image.timing.lines(times - image.trajectory.epoch) gives it"
         raise InputError(where, f"an image of {image.lines} lines", "its line at the shot's time", remedy)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cached_property
 from operator import index
-from typing import Any, Self, Union, overload
+from typing import Any, Self, TypeVar, Union, overload
 
 import numpy as np
 import pyarrow as pa
@@ -27,6 +27,8 @@ _MOST_COMPARED = 20_000
 _MOST_NAMED = 6
 """Names that a message lists."""
 _IMAGE = "image"
+Name = TypeVar("Name")
+Item = TypeVar("Item")
 Chosen = Union[slice, "NDArray[np.int64]", "NDArray[np.bool_]"]
 """Which names: a slice, numbers (m,) or marks (n,)."""
 
@@ -263,7 +265,7 @@ class RepeatedNames(_Column):
 
     def over(self, names: Sequence[str]) -> NDArray[np.int64]:
         """(k,) number of each name among others, each of which is there once; -1 for one that is not there."""
-        number = {name: k for k, name in enumerate(names)}
+        number = numbered(names)
         return np.array([*(number.get(name, -1) for name in self.distinct), -1], dtype=np.int64)[self.numbers]
 
     def __len__(self) -> int:
@@ -331,9 +333,22 @@ def number_of(asked: "str | int | np.integer[Any]", numbers: Mapping[str, int], 
     raise InputError(f"{what} {asked}", found, f"{expected}, e.g. {', '.join(names)}")
 
 
+def numbered(names: Iterable[Name]) -> dict[Name, int]:
+    """Number of each of several names, as they come."""
+    return {name: number for number, name in enumerate(names)}
+
+
+def grouped(pairs: Iterable[tuple[Name, Item]]) -> dict[Name, list[Item]]:
+    """What belongs to each name, or other key, as they come."""
+    groups = dict[Name, list[Item]]()
+    for name, item in pairs:
+        groups.setdefault(name, []).append(item)
+    return groups
+
+
 def image_names(asked: Iterable[str], names: Sequence[str]) -> list[str]:
     """Names of images, each once, of which names or parts of names were asked for (`number_of`)."""
-    numbers = {name: j for j, name in enumerate(names)}
+    numbers = numbered(names)
     return list(dict.fromkeys(names[number_of(one, numbers, _IMAGE)] for one in asked))
 
 

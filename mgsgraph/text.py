@@ -56,10 +56,11 @@ def listed(parts: list[str]) -> str:
     return parts[0] if len(parts) == 1 else ", ".join(parts[:-1]) + " and " + parts[-1]
 
 
-def some(names: Sequence[str], total: int, most: int = NAMED) -> str:
-    """Names that stand for `total` of them, `most` at the most."""
+def some(names: Sequence[str], total: int = 0, most: int = NAMED) -> str:
+    """Names, `most` at the most, and how many more there are: of themselves, or of `total` that they stand for."""
     named = names[:most]
-    return ", ".join(named) + (f" and {total - len(named)} more" if total > len(named) else "")
+    more = max(total, len(names)) - len(named)
+    return ", ".join(named) + (f" and {more} more" if more else "")
 
 
 def some_of(names: Sequence[str], index: NDArray[np.int64], most: int = NAMED) -> str:

@@ -161,7 +161,7 @@ class Truth:
         """(n, 3) m east, north and up, errors of points; their covariances."""
         truth = np.array([self._points[solution.network.points.ids[i]] for i in points.tolist()])
         axes = east_north_up(truth)
-        covariances = axes @ solution.covariances[points] @ np.swapaxes(axes, 1, 2)
+        covariances = axes @ solution.covariances[points] @ axes.mT
         return np.einsum("nij,nj->ni", axes, solution.places[points] - truth), covariances
 
 

@@ -85,7 +85,7 @@ def _of_kernels(image: SimulatedImage, stated: dict[str, Any]) -> Iterator[tuple
     lines = np.linspace(0.0, float(image.true.lines), _LINES)
     nominal = fit_polynomials(image.nominal).pose(lines)
     true = image.true.pose(lines)
-    turned = rotation.logarithm(nominal.matrix @ np.swapaxes(true.matrix, 1, 2))
+    turned = rotation.logarithm(nominal.matrix @ true.matrix.mT)
     missing = np.hstack([true.position - nominal.position, turned])
     terms = len(stated["trend"])
     basis, _ = polynomial(np.linspace(-1.0, 1.0, _LINES), terms - 1)

@@ -158,7 +158,7 @@ def determined(images: list[PushbroomImage], ties: TiePoints) -> tuple[Array, Ar
         powers = polynomial(image.normalised(pixels[:, 0]), DEGREE)[0]
         rows = 2 * its[:, None] + np.arange(2)
         cameras[rows, j * width : (j + 1) * width] = np.einsum("krc,kp->krpc", turned, powers).reshape(-1, 2, width)
-        level = np.swapaxes(east_north_up(places[at])[:, :2], 1, 2)
+        level = east_north_up(places[at])[:, :2].mT
         points[rows[:, :, None], (2 * at[:, None] + np.arange(2))[:, None]] = by_point @ level
     points = points[:, np.repeat(free, 2)]
     across, _ = np.linalg.qr(points)

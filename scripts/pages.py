@@ -258,8 +258,8 @@ def _relief_without_shots() -> Any:
     heights = SurfaceHeights(none, vectors, np.zeros((0, 2, 9)), pairs, pairs, mask, none, none, none)
     state = ProfileState(vectors, heights, CostSurface("", np.zeros(1), np.zeros((1, 1)), 0, ()))
     profile = ReliefProfile("", PointClass.LASER, index, mask, none, state, state, np.zeros(2), np.zeros((2, 2)))
-    points, image = SimpleNamespace(ids=(), places=vectors), SimpleNamespace(body=MARS)
-    network = SimpleNamespace(points=points, images=(image,), shifts=SimpleNamespace(sigmas=np.zeros(1)))
+    points, shifts = SimpleNamespace(ids=(), places=vectors), SimpleNamespace(sigmas=np.zeros(1))
+    network = SimpleNamespace(points=points, body=MARS, shifts=shifts)
     return SimpleNamespace(profiles=(profile,), solution=SimpleNamespace(network=network))
 
 

@@ -212,7 +212,7 @@ def poses(orientation: Array, image: Index, u: Array) -> tuple[Array, Array]:
     powers = np.stack([np.ones_like(u), u, u * u], axis=1)
     element = np.einsum("kij,kj->ki", orientation[image], powers)
     # from_omega_phi_kappa gives the papers' matrix, which is the transpose of the product R3 R2 R1
-    return element[:, :3], np.swapaxes(rotation.from_omega_phi_kappa(element[:, 3:]), 1, 2)
+    return element[:, :3], rotation.from_omega_phi_kappa(element[:, 3:]).mT
 
 
 def project(orientation: Array, image: Index, u: Array, places: Array, focal: float) -> tuple[Array, Array]:
@@ -330,5 +330,5 @@ def ground_points(problem: PeerProblem, count: int) -> GroundPoints:
 
 def peer_orientation(problem: PeerProblem, coefficients: tuple[NDArray[np.float64], ...]) -> Array:
     """(m, 6, 3) orientation in the peer's terms, of corrections (3, 6) of each image as a solution holds them."""
-    corrections = np.swapaxes(np.array(coefficients), 1, 2) * FROM_PEER[:, None]
+    corrections = np.array(coefficients).mT * FROM_PEER[:, None]
     return np.asarray(problem.orientation + corrections)

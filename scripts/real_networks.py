@@ -158,7 +158,7 @@ def adjusted(case: Path) -> Adjusted:
     solution = adjust(read_case(case))
     axes = east_north_up(solution.places)
     variances = np.einsum("nik,nkl,nil->ni", axes, solution.covariances, axes)[solution.determined]
-    heights = geodetic(solution.places, solution.network.images[0].body)[:, 2]
+    heights = geodetic(solution.places, solution.network.body)[:, 2]
     rms = np.sqrt(np.mean(solution.residuals[solution.rays_used] ** 2, axis=0))
     return Adjusted(solution, rms, np.sqrt(np.median(variances, axis=0)), np.array([heights.min(), heights.max()]))
 

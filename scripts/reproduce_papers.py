@@ -72,7 +72,7 @@ def orientation_differences(image: PushbroomImage, spice: PushbroomImage, result
     lines = np.linspace(0.0, float(image.lines), PLACES)
     correction = None
     if result is not None:
-        names = [image.name for image in result.solution.network.images]
+        names = result.solution.network.image_names
         correction = result.solution.correction(names.index(image.name))
     after, before = image.pose(lines, correction), spice.pose(lines)
     turned = rotation.omega_phi_kappa(after.matrix) - rotation.omega_phi_kappa(before.matrix)

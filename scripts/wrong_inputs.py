@@ -491,7 +491,7 @@ def _errors(solution: Solution, draw: Redrawn, of: PointClass) -> tuple[float, f
     through = at.joint.square_root.back(np.eye(at.joint.columns))
     shared = np.concatenate(motions.whitening @ (motions.follow @ through))
     covariance = shared @ shared.T
-    noise = motions.whitening @ motions.noise @ np.swapaxes(motions.whitening, 1, 2)
+    noise = motions.whitening @ motions.noise @ motions.whitening.mT
     for k in range(points.size):
         covariance[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] += noise[k]
     weights = np.linalg.eigvalsh(covariance)

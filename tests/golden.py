@@ -81,7 +81,7 @@ def of_solution(solution: mgsgraph.Solution) -> Result:
 def _of_unknowns(solution: mgsgraph.Solution) -> Result:
     """Orientation and shared unknowns with their sigmas, and the joint covariance of a sample."""
     network, joint = solution.network, solution.joint_covariance
-    images = [image.name for image in network.images]
+    images = network.image_names
     names = [*images, *network.shift_names, *(one.name for one in network.shared)]
     # factors of errors in common are left out: they turn as eigenvectors may
     names += [f"unknown {k} of passes" for k in range(int(network.first_of_passes[-1]) - len(names))]

@@ -120,7 +120,7 @@ def network_of(made: SimulatedStrip, chosen: Sequence[int]) -> Network:
 
 def by_image(network: Network) -> list[Network]:
     """A network taken apart: what each of its images sees by itself."""
-    names = {image.name for image in network.images}
+    names = set(network.image_names)
     parts = [without_images(network, names - {image.name}) for image in network.images]
     return [one for one in parts if one is not None]
 

@@ -121,7 +121,7 @@ def random_network(seed: int) -> Network:
     covariances = np.where((kinds == PointKind.CONSTRAINED)[:, None, None], base.points.covariances[source], 0.0)
     lacking = (kinds == PointKind.CONSTRAINED) & ~np.any(covariances, axis=(1, 2))
     roots = rng.standard_normal((n, 3, 3)) + 3.0 * np.eye(3)
-    covariances[lacking] = (roots @ np.swapaxes(roots, 1, 2))[lacking]
+    covariances[lacking] = (roots @ roots.mT)[lacking]
     true = np.concatenate([pair().true_ties, pair().true_footprints])[source]
     places = true + 10.0 * rng.standard_normal((n, 3))
     points = GroundPoints(tuple(f"p{i}" for i in range(n)), np.full(n, PointClass.TIE), kinds, places, covariances)

@@ -1,14 +1,16 @@
-"""Data and programs from outside, which the project does not ship.
+"""What comes from outside: data and programs that the project does not ship, and input that it refuses.
 
-Where one is absent its tests are skipped, or fail if MGSGRAPH_NO_SKIPS says so: 1, or `data` or `programs` for these
-alone.
+Where a program or data are absent their tests are skipped, or fail if MGSGRAPH_NO_SKIPS says so: 1, or `data` or
+`programs` for these alone.
 """
 
 import os
 import shutil
 import subprocess
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -28,6 +30,14 @@ def require_program(name: str, *arguments: str, by_ci: bool = True) -> Path:
     if found is None or (arguments and not _ends_well(found, *arguments)):
         _absent(f"the program `{' '.join((name, *arguments))}` is not here", "programs" if by_ci else "")
     return Path(str(found))
+
+
+def refuses(said: str, function: Callable[..., Any], /, *arguments: Any, **named: Any) -> None:
+    """The call raises InputError, in whose message the pattern `said` is found."""
+    from mgsgraph.errors import InputError
+
+    with pytest.raises(InputError, match=said):
+        function(*arguments, **named)
 
 
 @cache

@@ -43,7 +43,7 @@ def write_network(folder: Path, network: Network, tables: str, images: Sequence[
     """The case file of a network with some tables, and what it names; `images` are in place of its own."""
     images = images or network.images
     rays, points = network.rays, network.points
-    names = [image.name for image in network.images]
+    names = network.image_names
     sizes = np.array([[image.lines, image.samples] for image in network.images])[rays.image]
     inside = np.all((rays.places > 0.0) & (rays.places < sizes), axis=1)  # the noise of others put them outside
     ties = TiePoints(

@@ -33,7 +33,7 @@ def along(function: Callable[[float], np.ndarray], step: float) -> np.ndarray:
 
 def turned(one: np.ndarray, other: np.ndarray) -> float:
     """rad, largest angle between rotations (n, 3, 3)."""
-    return float(np.linalg.norm(rotation.logarithm(one @ np.swapaxes(other, 1, 2)), axis=1).max())
+    return float(np.linalg.norm(rotation.logarithm(one @ other.mT), axis=1).max())
 
 
 def _direction(longitude: float, sine: float) -> np.ndarray:

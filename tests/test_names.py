@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from outside import refuses
 
-from mgsgraph.errors import InputError
 from mgsgraph.names import Names, RepeatedNames
 
 NAMES = st.lists(st.text(st.characters(exclude_categories=["Cs"]), max_size=5), max_size=12)
@@ -57,12 +57,9 @@ def test_names_made_of_numbers() -> None:
 
 
 def test_what_are_no_names() -> None:
-    with pytest.raises(InputError, match="names: the name"):
-        Names.of(["a\udc80"])
-    with pytest.raises(InputError, match="don't follow"):
-        Names(np.zeros(3, dtype=np.uint8), np.array([0, 2, 1, 3]))
-    with pytest.raises(InputError, match="numbers up to 1"):
-        RepeatedNames(("a",), np.array([0, 1]))
+    refuses("names: the name", Names.of, ["a\udc80"])
+    refuses("don't follow", Names, np.zeros(3, dtype=np.uint8), np.array([0, 2, 1, 3]))
+    refuses("numbers up to 1", RepeatedNames, ("a",), np.array([0, 1]))
     with pytest.raises(TypeError):
         Names.of([None])  # type: ignore[list-item]
     with pytest.raises(IndexError):

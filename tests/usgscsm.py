@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.export.spice_nodes import Reprojection, images_of
+from mgsgraph.geometry.image import PushbroomImage
 
 Numbers = NDArray[np.float64]
 State = dict[str, Any]
@@ -64,6 +65,14 @@ def read_content(path: Path) -> State:
 
 
 # --- UsgsAstroLsSensorModel.cpp
+
+
+def largest_difference(image: PushbroomImage, state: State) -> float:
+    """Pixels between 25 places and where usgscsm sees their ground points."""
+    lines, samples = np.meshgrid(np.linspace(0.5, image.lines - 0.5, 5), np.linspace(0.5, image.samples - 0.5, 5))
+    places = np.column_stack([lines.ravel(), samples.ravel()])
+    ground, _ = image.image_to_ground(*places.T)
+    return float(np.abs(ground_to_image(state, ground) - places).max())
 
 
 def ground_to_image(state: State, points: Numbers) -> Numbers:

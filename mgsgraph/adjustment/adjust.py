@@ -32,7 +32,6 @@ from mgsgraph.adjustment.graph.variables import pass_values, shared_values, shif
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.multistart import best_of_starts, starts_wanted
 from mgsgraph.adjustment.rounds import (
-    Progress,
     Selection,
     Solved,
     all_rows,
@@ -43,7 +42,7 @@ from mgsgraph.adjustment.rounds import (
     solve_in_rounds,
     without_weak,
 )
-from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.settings import Progress, SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.adjustment.sparse_cholesky import NotDefinite
 from mgsgraph.errors import InputError, SolverError, require

@@ -15,7 +15,7 @@ Goldfarb and Shanno (Nocedal 1980), from the inverse of the normal matrix, whose
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple
@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.adjustment.graph.forms import BundleGraph, Solving
-from mgsgraph.adjustment.settings import Iteration, SolverSettings
+from mgsgraph.adjustment.settings import Iteration, Progress, SolverSettings
 from mgsgraph.adjustment.sparse_cholesky import NotDefinite
 from mgsgraph.errors import Unsolvable
 from mgsgraph.geometry.records import Array
@@ -199,7 +199,7 @@ def levenberg_marquardt(
     problem: BundleProblem,
     start: Array,
     settings: SolverSettings,
-    progress: Callable[[Iteration], None],
+    progress: Progress,
     unless_slow: bool = False,
 ) -> Outcome:
     """Minimise a problem's cost.
@@ -340,7 +340,7 @@ def settled_minimum(
     problem: BundleProblem,
     start: Array,
     settings: SolverSettings,
-    progress: Callable[[Iteration], None],
+    progress: Progress,
 ) -> Outcome:
     """Minimize a cost whose rounding hides the last steps, and take the final steps (`with_final_steps`): from the
     state where the cost hardly falls any more or, if they do not converge from there, from the one where it does not.
@@ -357,7 +357,7 @@ def minimum(
     problem: BundleProblem,
     start: Array,
     settings: SolverSettings,
-    progress: Callable[[Iteration], None],
+    progress: Progress,
     slow: bool,
 ) -> Outcome:
     """Minimize a problem's cost; take the final steps where steps become shorter by small shares only (`slow`: known to
@@ -373,7 +373,7 @@ def minimum(
 
 
 def _further(
-    problem: BundleProblem, before: Outcome, settings: SolverSettings, progress: Callable[[Iteration], None]
+    problem: BundleProblem, before: Outcome, settings: SolverSettings, progress: Progress
 ) -> Outcome:
     """An outcome from where another one ended."""
     tried = levenberg_marquardt(problem, before.state, settings, progress)
@@ -391,7 +391,7 @@ def with_final_steps(
     problem: BundleProblem,
     outcome: Outcome,
     settings: SolverSettings,
-    progress: Callable[[Iteration], None],
+    progress: Progress,
 ) -> Outcome:
     """An outcome that has converged by its cost, continued until a step is shorter than the step tolerance.
 
@@ -460,7 +460,7 @@ def solve_bundle(
     start: Array,
     reduction: Reduction | None,
     settings: SolverSettings,
-    progress: Callable[[Iteration], None],
+    progress: Progress,
     slow: bool = False,
 ) -> tuple[Outcome, Reduction]:
     """Solve from an orientation vector (columns,); the reduction at the optimum comes with it. `slow` says that an

@@ -22,7 +22,7 @@ import numpy as np
 from mgsgraph.adjustment.covariances import Linearised, PointRows
 from mgsgraph.adjustment.graph import Layout
 from mgsgraph.adjustment.graph.forms import BETWEEN, IN_PROCESS, MISFIT, SHARE, Sweeper, numbers
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.records import Array, Index, Mask, joined_rows
 from mgsgraph.kernel.rows import OUT, Small
 from mgsgraph.network import PointClass
 
@@ -84,9 +84,9 @@ def residual_covariance(at: Linearised, rows: PointRows) -> tuple[Array, Array]:
     the residuals once the points follow them: (m, r, columns).
     """
     by_point, through = rows.following()
-    turned = np.swapaxes(through, 1, 2)
+    turned = through.mT
     shared = through @ at.joint.of(rows.variables) @ turned
-    return np.eye(rows.row.size) - by_point @ np.swapaxes(by_point, 1, 2) - shared, through
+    return np.eye(rows.row.size) - by_point @ by_point.mT - shared, through
 
 
 def direction(covariance: Array, residuals: Array, rows: Mask) -> tuple[Array, Array, Index]:
@@ -126,10 +126,10 @@ def prediction(rows: PointRows, back: Mask, used: Mask, shared: Array) -> Array:
             rows, by_point=rows.by_point * used[:, :, None], by_shared=rows.by_shared * used[:, :, None]
         ).eliminated()
         by_point, through = rows.by_point[:, back] @ noise, through + rows.by_point[:, back] @ carried
-    covariance = np.eye(by_point.shape[1]) + by_point @ np.swapaxes(by_point, 1, 2)
-    covariance += through @ shared @ np.swapaxes(through, 1, 2)
+    covariance = np.eye(by_point.shape[1]) + by_point @ by_point.mT
+    covariance += through @ shared @ through.mT
     error = rows.residuals[:, back, None]
-    return np.asarray((np.swapaxes(error, 1, 2) @ np.linalg.solve(covariance, error))[:, 0, 0])
+    return np.asarray((error.mT @ np.linalg.solve(covariance, error))[:, 0, 0])
 
 
 def closure(rows: PointRows, chosen: Mask, shared: Array) -> tuple[Array, Index]:
@@ -138,11 +138,11 @@ def closure(rows: PointRows, chosen: Mask, shared: Array) -> tuple[Array, Index]
     """
     by_point, error = rows.by_point * chosen[:, :, None], (rows.residuals * chosen)[:, :, None]
     through = rows.by_shared * chosen[:, :, None]
-    covariance = np.eye(rows.row.size) + through @ shared @ np.swapaxes(through, 1, 2)
-    turned = np.swapaxes(np.linalg.solve(covariance, by_point), 1, 2)
+    covariance = np.eye(rows.row.size) + through @ shared @ through.mT
+    turned = np.linalg.solve(covariance, by_point).mT
     normal = turned @ by_point  # of rays that hardly converge, or do so behind a camera, singular
     misclosure = error - by_point @ (np.linalg.pinv(normal, _SINGULAR, hermitian=True) @ (turned @ error))
-    test = np.swapaxes(misclosure, 1, 2) @ np.linalg.solve(covariance, misclosure)
+    test = misclosure.mT @ np.linalg.solve(covariance, misclosure)
     rank = np.linalg.matrix_rank(normal, rtol=_SINGULAR, hermitian=True)
     return test[:, 0, 0], chosen.sum(axis=1) - rank
 
@@ -150,7 +150,7 @@ def closure(rows: PointRows, chosen: Mask, shared: Array) -> tuple[Array, Index]
 def hardly_converging(rows: PointRows, chosen: Mask) -> Mask:
     """(m,) points that chosen rows (m, r) place no better than a single ray does."""
     by_point = rows.by_point * chosen[:, :, None]
-    eigenvalues = np.linalg.eigvalsh(np.swapaxes(by_point, 1, 2) @ by_point)
+    eigenvalues = np.linalg.eigvalsh(by_point.mT @ by_point)
     return np.asarray(eigenvalues[:, 0] < _PARALLEL**2 * eigenvalues[:, 2])
 
 
@@ -423,7 +423,7 @@ def independent(
     for row, k in zip(pulls_of_all, compared, strict=True):
         variables, pull = pulls[k]
         places = [np.arange(columns[v], columns[v] + width[v]) for v in variables]
-        row[np.concatenate([np.zeros(0, dtype=np.int64), *places])] = pull
+        row[joined_rows(places)] = pull
     size, limit = sizes[compared], limits[compared]
     correlation = np.abs(pulls_of_all @ at.joint.of(columns) @ pulls_of_all.T) / size[:, None] / size
     disturbed, nearest, taken = np.zeros(size.size), np.zeros(size.size), list[int]()

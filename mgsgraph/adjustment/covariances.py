@@ -34,7 +34,7 @@ from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.measurements import row_count
 from mgsgraph.kernel.rows import OUT, Rows, of_points
 from mgsgraph.kernel.sweep import COSTS, ROW_NUMBERS, Reduction, design
-from mgsgraph.names import Names
+from mgsgraph.names import Names, grouped
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, ProfileShifts, Ranges
 from mgsgraph.record import Record
 
@@ -148,10 +148,7 @@ def _pass_by_pass(layout: Layout) -> SquareRoot:
 
 def _joined_by_priors(layout: Layout) -> list[list[int]]:
     """Adjusted variables grouped by the priors that connect them: passes, profiles that cross, single ones."""
-    group, members = layout.prior.group, dict[int, list[int]]()
-    for v in layout.variables.adjusted():
-        members.setdefault(int(group[v]), []).append(v)
-    return list(members.values())
+    return list(grouped((int(layout.prior.group[v]), v) for v in layout.variables.adjusted()).values())
 
 
 
@@ -264,9 +261,9 @@ class PointRows:
         """The points as functions of the shared unknowns x and of noise e (3,) of their own, of unit covariance:
         point = K x + N e with K (m, 3, c) = -V^-1 W' and N (m, 3, 3) = L^-T, V = B'B = L L', W' = B'J.
         """
-        turned = np.swapaxes(self.by_point, 1, 2)
+        turned = self.by_point.mT
         normal = turned @ self.by_point
-        noise = np.swapaxes(np.linalg.solve(np.linalg.cholesky(normal), np.eye(3)), 1, 2)
+        noise = np.linalg.solve(np.linalg.cholesky(normal), np.eye(3)).mT
         return np.asarray(-np.linalg.solve(normal, turned @ self.by_shared)), np.asarray(noise)
 
 

@@ -17,10 +17,11 @@ from mgsgraph.adjustment.graph import Layout
 from mgsgraph.errors import WeakNetwork
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.orientation import Moments, OrientationCorrection, polynomial
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, finite_rows
 from mgsgraph.geometry.rotation import skew
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.kernel.sweep import Reduction
+from mgsgraph.names import grouped
 from mgsgraph.network.joining import nominal_poses
 from mgsgraph.text import listed, some
 from mgsgraph.units import ARCSEC
@@ -108,10 +109,8 @@ def parts_of(frames: Frames, direction: Array) -> tuple[Part, ...]:
 
 def in_words(frames: Frames, parts: Sequence[Part], sigma: float | None = None) -> str:
     """What a direction is; with its sigma (in prior units), how far one sigma moves its main term."""
-    groups: dict[str, list[_Term]] = {}
     terms = sorted(_terms(frames, parts), key=lambda term: -round(term.share, 6))
-    for term in terms:
-        groups.setdefault(term.what, []).append(term)
+    groups = grouped((term.what, term) for term in terms)
     ordered = sorted(groups.values(), key=lambda group: -round(sum(term.share for term in group), 6))
     named: list[list[_Term]] = []
     explained = 0.0
@@ -150,22 +149,17 @@ def _group(terms: Sequence[_Term]) -> str:
 def _owners(owners: Sequence[str]) -> str:
     images = [owner.removeprefix("image ") for owner in owners if owner.startswith("image ")]
     rest = [owner for owner in owners if not owner.startswith("image ")]
-    rest = [some(rest, len(rest), _MOST - 1)] if len(rest) > _MOST else rest
+    rest = [some(rest, most=_MOST - 1)] if len(rest) > _MOST else rest
     if len(images) > _MOST:
-        images = [some(images, len(images), _MOST - 1)]
+        images = [some(images, most=_MOST - 1)]
         return listed([f"images {images[0]}", *rest])
     return listed([f"image{'s' * (len(images) > 1)} {listed(images)}", *rest]) if images else listed(rest)
 
 
 def _terms(frames: Frames, parts: Sequence[Part]) -> list[_Term]:
     """Parts; those of position and pointing that cancel each other are one term."""
-    of_image: dict[tuple[int, int], list[Part]] = {}
-    terms: list[_Term] = []
-    for part in parts:
-        if part.axis.polynomial:
-            of_image.setdefault((part.axis.variable, part.axis.order), []).append(part)
-        else:
-            terms.append(_alone(part))
+    terms = [_alone(part) for part in parts if not part.axis.polynomial]
+    of_image = grouped(((part.axis.variable, part.axis.order), part) for part in parts if part.axis.polynomial)
     for (image, _), of_order in of_image.items():
         terms += _against(frames.of(image), of_order)
     return terms
@@ -381,7 +375,7 @@ def _shifted_place(layout: Layout, shift: int, middle: Array) -> Array:
         terrain = None if network.surface is None else network.surface.middle
         return middle if terrain is None else terrain
     places = network.points.places[np.flatnonzero(network.shifts.profile == shift)[:_ROWS]]
-    places = places[np.all(np.isfinite(places), axis=1)]
+    places = places[finite_rows(places)]
     return np.asarray(places.mean(axis=0)) if places.size else middle
 
 
@@ -412,5 +406,5 @@ def _axes(span: Array) -> str:
     if span.shape[1] == 1:
         vector = span[:, 0] * np.sign(span[np.argmax(np.abs(span[:, 0])), 0])
         return "({:.2f}, {:.2f}, {:.2f})".format(*vector)
-    normal = np.cross(span[:, 0], span[:, 1])
+    normal = np.cross(*span.T)
     return "two axes at right angles to ({:.2f}, {:.2f}, {:.2f})".format(*normal)

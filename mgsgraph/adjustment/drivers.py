@@ -22,7 +22,7 @@ import numpy as np
 
 from mgsgraph.adjustment.fit import Residuals, residuals, squares_of
 from mgsgraph.adjustment.graph import BundleGraph, Layout
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.records import Array, Index, Mask, no_rows
 from mgsgraph.kernel.rows import BEHIND, GOOD, OUT, WEAK
 from mgsgraph.kernel.sweep import Reduction
 from mgsgraph.network import Network
@@ -177,7 +177,7 @@ def contributions(
     """The record; ties in `values` (n,) go by `then` (n,)."""
     total = float(values.sum() if all_of_it is None else all_of_it)
     if not total > 0.0:
-        return Contributions(quantity, kind, values.size, np.zeros(0, dtype=np.int64), np.zeros(0), 0, 0.0)
+        return Contributions(quantity, kind, values.size, no_rows(), np.zeros(0), 0, 0.0)
     parts = []
     for chosen in (flagged, ~flagged & (values > 0.0)):
         index = np.flatnonzero(chosen)

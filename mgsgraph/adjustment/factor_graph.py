@@ -43,8 +43,9 @@ from mgsgraph.geometry.camera import Detector
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.orientation import SUPPORT, OrientationImages
-from mgsgraph.geometry.records import Array, Mask
+from mgsgraph.geometry.records import Array, Mask, finite_rows
 from mgsgraph.geometry.trajectory import Pose
+from mgsgraph.names import grouped
 from mgsgraph.network import HELD, Network
 from mgsgraph.network.effects import SharedEffects, common_lifts, common_looks, crossover_rows, known_motions
 from mgsgraph.network.parallel import parallel
@@ -225,10 +226,10 @@ def nominal_selection(network: Network) -> Selected:
         in_image = rays.image == j
         origins[in_image], looks[in_image] = image.sightlines(*rays.places[in_image].T)
     crossing, _, angles = intersect_rays(origins, looks, rays.point, n)
-    given = np.all(np.isfinite(network.points.places), axis=1) & (network.points.kinds != PointKind.FREE)
+    given = finite_rows(network.points.places) & (network.points.kinds != PointKind.FREE)
     places = np.where(given[:, None], network.points.places, crossing)
     used = ~(network.undetermined | parallel(network, np.nan_to_num(angles)))
-    for i in np.flatnonzero(used & ~np.all(np.isfinite(places), axis=1)).tolist():
+    for i in np.flatnonzero(used & ~finite_rows(places)).tolist():
         k = int(np.flatnonzero(rays.point == i)[0])
         places[i] = network.images[rays.image[k]].image_to_ground(*rays.places[[k]].T)[0][0]
     values = [np.zeros(width) for width in network.widths]
@@ -282,12 +283,11 @@ def prior_factors(network: Network, keys: Keys) -> Iterator[gtsam.NonlinearFacto
 
 def _movers(network: Network, keys: Keys, of_ranges: bool = False) -> dict[int, list[PolynomialEffect]]:
     """Of each point the unknowns that move its a-priori position; `of_ranges`: without those that act on ranges."""
-    movers: dict[int, list[PolynomialEffect]] = {}
-    for points, variables, motions, on_ranges in known_motions(network):
-        if not (of_ranges and on_ranges):
-            for i, variable, motion in zip(points.tolist(), variables.tolist(), motions, strict=True):
-                movers.setdefault(i, []).append(constant(keys.variable(variable), POSITION, motion.T))
-    return movers
+    return grouped(
+        (i, constant(keys.variable(variable), POSITION, motion.T))
+        for points, variables, motions, on_ranges in known_motions(network) if not (of_ranges and on_ranges)
+        for i, variable, motion in zip(points.tolist(), variables.tolist(), motions, strict=True)
+    )  # fmt: skip
 
 
 def _grounds(network: Network, keys: Keys, selected: Selected) -> Iterator[gtsam.NonlinearFactor]:
@@ -487,10 +487,9 @@ class _Moves:
         return PolynomialEffect((self._keys.shared(k),), coefficients, float(self._image.lines))
 
     def of_ray(self, line: float, sample: float) -> list[Effect]:
-        effects = [*self._own, *self._nodes(line - MARGIN, line + MARGIN)]
-        for k in self._shared.acting["rays"][self._j]:
-            effects.append(self._pose[k] if k in self._pose else self._of_interior(k, sample))
-        return effects
+        acting = self._shared.acting["rays"][self._j]
+        shared = (self._pose[k] if k in self._pose else self._of_interior(k, sample) for k in acting)
+        return [*self._own, *self._nodes(line - MARGIN, line + MARGIN), *shared]
 
     def of_range(self, line: float, shares: Array) -> list[Effect]:
         effects = [*self._own, *self._nodes(line, line)]

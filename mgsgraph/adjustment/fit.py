@@ -13,7 +13,7 @@ from mgsgraph.adjustment.graph.forms import IN_PROCESS, Sweeper
 from mgsgraph.adjustment.graph.variables import footprint_shifts, shared_values
 from mgsgraph.factors.loss import cauchy, huber, tukey
 from mgsgraph.geometry.body import east_north
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.records import Array, Index, Mask, no_rows
 from mgsgraph.kernel.rows import CAUCHY, FIXED, HUBER, NO_LOSS, OUT, PRIOR, TUKEY, Model, Rows
 from mgsgraph.network import Network
 from mgsgraph.record import Record
@@ -135,7 +135,7 @@ def _of_stereo(layout: Layout, rows: Rows, residual: Residuals) -> tuple[Index, 
     """(m,) points whose heights above stereo surfaces take part, and their squares in sigmas."""
     control, stereo = layout.network.stereo, layout.stereo
     if control is None or stereo is None:
-        return np.zeros(0, dtype=np.int64), np.zeros(0)
+        return no_rows(), np.zeros(0)
     kind = layout.network_order(rows.kind)[stereo.points]
     points = stereo.points[(rows.weight[0, layout.observation_rows.stereo] > 0.0) & (kind != OUT)]
     return points, (residual.stereo[points] / control.sigmas[points]) ** 2

@@ -5,18 +5,16 @@ variables. `graph.linearize(values)` doesn't. And GTSAM's Cholesky takes columns
 an indeterminate system: here columns are scaled to unit length before they are factored (van der Sluis 1969).
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 
-from mgsgraph.adjustment.settings import Iteration
-from mgsgraph.errors import InputError, WeakNetwork
-from mgsgraph.geometry.records import Array
+from mgsgraph.adjustment.settings import Iteration, Progress
+from mgsgraph.errors import InputError, WeakNetwork, require
+from mgsgraph.geometry.records import Array, Index, no_rows
 from mgsgraph.record import Record, card
 from mgsgraph.workers import no_progress
 
@@ -55,8 +53,7 @@ class _Structure:
 
     def __init__(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
         self.keys, zeros = sorted(graph.keyVector()), values.zeroVectors()  # GTSAM's own order of columns
-        if not self.keys:
-            raise InputError("graph", "no factors", "at least one")
+        require(self.keys, "graph", "no factors", "at least one")
         for key in self.keys:
             if not values.exists(key):
                 problem = f"none of variable {gtsam.DefaultKeyFormatter(key)}"
@@ -127,7 +124,7 @@ class _Factored:
     def _solved_outer(self, right: Array) -> Array:
         return right if self._reduced is None else np.asarray(self._reduced.solve(right))
 
-    def covariance(self, columns: NDArray[np.int64], structure: _Structure) -> Array:
+    def covariance(self, columns: Index, structure: _Structure) -> Array:
         """(k, k) of N^-1 at some columns: B^-1 + G S^-1 G', where G is how these depend on the outer ones."""
         number = np.cumsum(structure.inner) - 1
         inner = np.flatnonzero(structure.inner[columns])
@@ -141,11 +138,11 @@ class _Factored:
         return np.asarray(0.5 * (inverse + inverse.T))
 
 
-def _inverted_blocks(diagonal: Any, blocks: list[tuple[int, NDArray[np.int64]]]) -> Any:
+def _inverted_blocks(diagonal: Any, blocks: list[tuple[int, Index]]) -> Any:
     """Inverse of a block-diagonal matrix, sparse; raises LinAlgError where a block isn't positive definite."""
     from scipy.sparse import csr_array
 
-    rows, columns, entries = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)], [np.zeros(0)]
+    rows, columns, entries = [no_rows()], [no_rows()], [np.zeros(0)]
     for width, first in blocks:
         at = first[:, None] + np.arange(width)
         places = np.repeat(at, width, axis=1), np.tile(at, (1, width))
@@ -205,7 +202,7 @@ class _Linearized:
 def optimize(
     graph: gtsam.NonlinearFactorGraph,
     values: gtsam.Values,
-    progress: Callable[[Iteration], None] = no_progress,
+    progress: Progress = no_progress,
     *,
     max_iterations: int = 200,
     cost_tolerance: float = 1e-10,

@@ -9,7 +9,6 @@ Heights above stereo surfaces are made linear about the state that counts in the
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,7 +22,7 @@ from mgsgraph.adjustment.graph import BundleGraph, Layout
 from mgsgraph.adjustment.graph.forms import IN_PROCESS, Sweeper
 from mgsgraph.adjustment.graph.rays import followed
 from mgsgraph.adjustment.graph.stereo import require_seen
-from mgsgraph.adjustment.settings import Iteration, SolverSettings
+from mgsgraph.adjustment.settings import Iteration, Progress, SolverSettings
 from mgsgraph.errors import PointBehindCamera, SolverError, Unsolvable
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.plausibility import resection_remedy
@@ -92,8 +91,6 @@ def exactly(
     renewed = about_predicted_lines(layout, orientation, points, sweeper=sweeper)
     return renewed, points if renewed is layout else layout.network_order(points)[renewed.point_order]
 
-
-Progress = Callable[[Iteration], None]
 
 _MOST_PASSES = 100
 """When blunders are sought: each takes something out, or back once."""

@@ -1,6 +1,7 @@
 """How an adjustment is carried out; every choice has a name that case files and the command line use too."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -46,6 +47,10 @@ class Iteration(Record):
     """Levenberg-Marquardt damping, in inverse squared scales."""
     accepted: bool
     """Whether the step was taken."""
+
+
+Progress = Callable[[Iteration], None]
+"""Is told of each step."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import in_turn
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection, corrected, correction_axes
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.records import Array, Index, Mask, sigmas_of
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.kernel.rows import Small
 from mgsgraph.network import Network, PointClass
@@ -154,7 +154,7 @@ class Solution(Record):
     @property
     def sigmas(self) -> Array:
         """(n, 3) m, standard deviations of the points in x, y, z, for sigma0 = 1."""
-        return np.sqrt(np.diagonal(self.covariances, axis1=1, axis2=2))
+        return sigmas_of(self.covariances)
 
     @property
     def iterations(self) -> int:
@@ -236,6 +236,11 @@ class Solution(Record):
         """Determined points of one class."""
         return np.flatnonzero((self.network.points.classes == point_class) & self.determined)
 
+    @property
+    def ending(self) -> str:
+        """How it ended, for sentences: converged, or NOT converged."""
+        return "converged" if self.converged else "NOT converged"
+
     def _repr_html_(self) -> str:
         """For notebooks."""
         rows = [("points", "number", "mean sigma X, Y, Z"), ("", "", "m")]
@@ -247,10 +252,9 @@ class Solution(Record):
         return card(repr(self), [self.message], rows, head=2)
 
     def __repr__(self) -> str:
-        state = "converged" if self.converged else "NOT converged"
         return (
-            f"Solution({self.name!r}, {state} after {self.iterations} iterations, cost {self.cost_initial:.6g} -> "
-            f"{self.cost_final:.6g}, sigma0 {self.sigma0:.4g}, {self.fit.degrees_of_freedom} degrees of freedom; "
+            f"Solution({self.name!r}, {self.ending} after {self.iterations} iterations, cost {self.cost_initial:.6g} "
+            f"-> {self.cost_final:.6g}, sigma0 {self.sigma0:.4g}, {self.fit.degrees_of_freedom} degrees of freedom; "
             f"{self.network!r})"
         )
 
@@ -359,10 +363,10 @@ def _profiles(solution: Solution, images: Sequence[int], places: int) -> Orienta
     correction, covariance = _corrections(solution, designs, places)
     after = corrected(before, correction, np.zeros_like(correction), angles)
     turn = correction_axes(before, correction, angles)
-    about_camera = turn @ covariance[:, 3:, 3:] @ np.swapaxes(turn, 1, 2)
+    about_camera = turn @ covariance[:, 3:, 3:] @ turn.mT
     angles_after = rotation.omega_phi_kappa(after.matrix)
     to_angles = np.linalg.solve(rotation.angle_axes(angles_after, camera_to_body=True), turn)
-    of_angles = to_angles @ covariance[:, 3:, 3:] @ np.swapaxes(to_angles, 1, 2)
+    of_angles = to_angles @ covariance[:, 3:, 3:] @ to_angles.mT
     return OrientationProfile(
         lines=np.concatenate(lines),
         times=np.concatenate([at.times + at.epoch for at in moments]),
@@ -372,7 +376,7 @@ def _profiles(solution: Solution, images: Sequence[int], places: int) -> Orienta
         angles_before=rotation.omega_phi_kappa(before.matrix),
         angles_after=angles_after,
         angles_sigma=_root(of_angles),
-        rotation=-rotation.logarithm(after.matrix @ np.swapaxes(before.matrix, 1, 2)),
+        rotation=-rotation.logarithm(after.matrix @ before.matrix.mT),
         rotation_sigma=_root(about_camera),
     )
 
@@ -389,7 +393,7 @@ def _corrections(solution: Solution, images: Sequence[Sequence[Design]], places:
         joint = flat[start : start + width * width].reshape(width, width)
         start += width * width
         correction[at] = matrix @ np.concatenate([values[v] for v in run.variables])
-        covariance[at] = matrix @ joint @ np.swapaxes(matrix, 1, 2)
+        covariance[at] = matrix @ joint @ matrix.mT
     return correction, covariance
 
 

@@ -15,7 +15,8 @@ from scipy.linalg import blas, lapack
 
 from mgsgraph.adjustment.marginals import SquareRoot, begins, many_threads, one_thread
 from mgsgraph.compiled import cached_kernel
-from mgsgraph.geometry.records import Array, Index, place_of
+from mgsgraph.geometry.records import Array, Index, joined_rows, place_of
+from mgsgraph.names import numbered
 
 if TYPE_CHECKING:
     import gtsam
@@ -147,7 +148,7 @@ class SparseCholesky:
             at += size
         return SquareRoot(
             self.first.copy(), self.width.copy(),
-            members=np.concatenate([np.zeros(0, dtype=np.int64), *(front.variables for front in fronts)]),
+            members=joined_rows(front.variables for front in fronts),
             sizes=np.array([front.variables.size for front in fronts], dtype=np.int64),
             frontals=np.array([front.frontals for front in fronts], dtype=np.int64),
             rows=flat,
@@ -250,7 +251,7 @@ def _order(ordering: "gtsam.Ordering") -> Index:
 
 def _cliques(order: Index, pairs: Index, width: Index) -> _Cliques:
     """Cliques of an order, those that hardly differ in one."""
-    turn = {v: k for k, v in enumerate(order.tolist())}
+    turn = numbered(order.tolist())
     later = [set[int]() for _ in order]
     for v, w in pairs.tolist():
         low, high = sorted((turn[v], turn[w]))
@@ -279,7 +280,7 @@ def _cliques(order: Index, pairs: Index, width: Index) -> _Cliques:
                 wide[k], zeros[k] = merged, more
     _join_twins(frontals, wide, later, children)
     last = sorted(frontals)
-    number = {k: c for c, k in enumerate(last)}
+    number = numbered(last)
     owner = {k: number[end] for end in last for k in frontals[end]}
     cliques = [
         ([int(order[k]) for k in sorted(frontals[end])], [int(order[k]) for k in sorted(later[end])]) for end in last

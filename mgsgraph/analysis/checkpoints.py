@@ -26,7 +26,7 @@ from mgsgraph.analysis.linearised import at_points, require_covariance
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.body import east_north_up
-from mgsgraph.geometry.records import Array, Index, thinned
+from mgsgraph.geometry.records import Array, Index, sigmas_of, thinned
 from mgsgraph.network import Network, PointClass
 from mgsgraph.record import Record
 
@@ -67,7 +67,7 @@ class Discrepancies(Record):
     @property
     def sigmas(self) -> Array:
         """(n, 3) m, east, north, up."""
-        return np.asarray(np.sqrt(np.diagonal(self.covariances, axis1=1, axis2=2)))
+        return np.asarray(sigmas_of(self.covariances))
 
     @property
     def normalized(self) -> Array:
@@ -121,7 +121,7 @@ def _at_checkpoints(solution: Solution) -> Discrepancies:
     some = thinned(chosen.size, _MOST_JOINT)
     joint = _joint(at_points(solution, chosen[some]), np.arange(some.size))
     joint += _block_diagonal(known.covariances[chosen[some]])
-    scale, values = np.sqrt(np.diagonal(joint)), solution.places[chosen] - known.places[chosen]
+    scale, values = sigmas_of(joint), solution.places[chosen] - known.places[chosen]
     test = _chi_square(values[some].ravel() / scale, joint / scale / scale[:, None], _ROUNDING)
     covariances = solution.covariances[chosen] + known.covariances[chosen]
     return _local(solution.network, chosen, values, covariances, (*test, some.size), others)
@@ -139,7 +139,7 @@ def leave_out(at: Linearised) -> Discrepancies:
     whitening = np.linalg.inv(root)
 
     def whitened(matrices: Array) -> Array:
-        return np.asarray(whitening @ matrices @ np.swapaxes(whitening, 1, 2))
+        return np.asarray(whitening @ matrices @ whitening.mT)
 
     of_estimator = whitened(estimator.point_covariances()[points])
     spread = np.eye(3) + whitened(at.point_covariances()[points]) - 2.0 * of_estimator
@@ -150,7 +150,7 @@ def leave_out(at: Linearised) -> Discrepancies:
     misfit = np.einsum("nij,nj->ni", whitening, misfit)
     influence = root[left] @ np.linalg.inv(redundancy[left])
     values = np.einsum("nij,nj->ni", influence, misfit[left])
-    covariances = influence @ spread[left] @ np.swapaxes(influence, 1, 2)
+    covariances = influence @ spread[left] @ influence.mT
     some = thinned(chosen.size, _MOST_JOINT)
     difference = _joint(at, chosen[some]) - 2.0 * _joint(estimator, chosen[some])
     turn = _block_diagonal(whitening[left[some]])
@@ -169,7 +169,7 @@ def _local(
 ) -> Discrepancies:
     """The record of body-fixed values (n, 3) in m with covariances (n, 3, 3), and of the test of all."""
     frames = east_north_up(network.points.places[points])
-    turned = frames @ covariances @ np.swapaxes(frames, 1, 2)
+    turned = frames @ covariances @ frames.mT
     return Discrepancies(points, np.einsum("nij,nj->ni", frames, values), turned, *test, others)
 
 

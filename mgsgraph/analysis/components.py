@@ -32,7 +32,7 @@ from mgsgraph.analysis.grouping import (
 )
 from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, sigmas_of
 from mgsgraph.network import Network
 from mgsgraph.record import Record
 
@@ -366,7 +366,7 @@ def components_from_redundancy(by_group: Redundancy, judgements: list[Judgement]
     part = by_group.helmert[np.ix_(judged, judged)]
     covariance, degrees = 2.0 * np.linalg.inv(part), np.full(size, np.nan)
     degrees[judged] = _degrees(part)
-    correlation, scale = np.full((size, size), np.nan), 1.0 / np.sqrt(np.diag(covariance))
+    correlation, scale = np.full((size, size), np.nan), 1.0 / sigmas_of(covariance)
     correlation[np.ix_(judged, judged)] = covariance * scale[:, None] * scale
     groups = []
     for g, judgement in enumerate(judgements):

@@ -19,7 +19,7 @@ from mgsgraph.adjustment.frames import camera_axes, flight_axes
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.geometry.body import east_north_up
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, sigmas_of
 from mgsgraph.names import Names
 from mgsgraph.record import Record
 from mgsgraph.units import ARCSEC
@@ -89,7 +89,7 @@ def covariance(quantity: Quantity, joint: JointCovariance) -> Array:
 
 def correlation(covariance: Array) -> Array:
     """(m, m) correlation matrix of a covariance; NaN where there is no variance."""
-    sigmas = np.sqrt(np.diagonal(covariance))
+    sigmas = sigmas_of(covariance)
     scale = np.where(sigmas > 0.0, sigmas, np.nan)
     return np.asarray(covariance / scale[:, None] / scale)
 

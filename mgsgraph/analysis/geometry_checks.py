@@ -12,7 +12,7 @@ import numpy as np
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.body import Ellipsoid, distances, nearness
 from mgsgraph.geometry.intersection import intersect_rays
-from mgsgraph.geometry.records import Array, Index, place_of
+from mgsgraph.geometry.records import Array, Index, by_value, finite_rows, no_rows, place_of
 from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.network import Network
 
@@ -50,11 +50,11 @@ def deviating_heights(network: Network, places: Array, covariances: Array) -> De
     covariances : (n, 3, 3) array
         m^2.
     """
-    by_class = [DeviatingHeights(np.zeros(0, dtype=np.int64), np.zeros(0))]
+    by_class = [DeviatingHeights(no_rows(), np.zeros(0))]
     for _, members in network.of_class():
-        located = members[np.isfinite(places[members]).all(axis=1) & (network.points.kinds[members] != PointKind.FIXED)]
+        located = members[finite_rows(places[members]) & (network.points.kinds[members] != PointKind.FIXED)]
         # in a frame that is not body-fixed nothing is known of heights
-        if located.size > _NEIGHBORS and _near(float(np.median(distances(places[located]))), network.images[0].body):
+        if located.size > _NEIGHBORS and _near(float(np.median(distances(places[located]))), network.body):
             points, deviations = _deviating(places[located], covariances[located])
             by_class.append(DeviatingHeights(located[points], deviations))
     points, deviations = (np.concatenate(part) for part in zip(*by_class, strict=True))
@@ -112,8 +112,7 @@ def convergence(network: Network, points: Index) -> Array:
     chosen = np.flatnonzero(place[network.rays.point] >= 0)
     rays = network.rays.chosen(chosen)
     origins, directions = np.empty((chosen.size, 3)), np.empty((chosen.size, 3))
-    for j in np.unique(rays.image).tolist():
-        of_image = rays.image == j
+    for j, of_image in by_value(rays.image):
         origins[of_image], directions[of_image] = network.images[j].sightlines(*rays.places[of_image].T)
     _, _, angles = intersect_rays(origins, directions, place[rays.point], points.size)
     return np.asarray(angles[network.ray_counts[points] >= 2])
@@ -133,9 +132,8 @@ class MisplacedProfile(NamedTuple):
 def misplaced_profiles(network: Network) -> list[MisplacedProfile]:
     """Images whose laser shots lie far before or behind their lines of sight, along the flight, at the shots' times."""
     ranges, misplaced = network.ranges, list[MisplacedProfile]()
-    for j in np.unique(ranges.image).tolist():
-        image, shots = network.images[j], np.flatnonzero(ranges.image == j)
-        shots = shots[network.points.kinds[ranges.point[shots]] != PointKind.FREE]
+    for j, of_image in by_value(ranges.image):
+        image, shots = network.images[j], of_image[network.points.kinds[ranges.point[of_image]] != PointKind.FREE]
         if not shots.size:
             continue
         pose = image.trajectory.pose(ranges.times[shots] - image.trajectory.epoch)

@@ -15,7 +15,7 @@ import numpy as np
 from mgsgraph.analysis.grouping import BACK_PROJECTED, Grouping
 from mgsgraph.analysis.linearised import PriorRows
 from mgsgraph.analysis.residual_rows import ResidualRows, quadratic_tail
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, by_value
 from mgsgraph.kernel.rows import GROUND, IMAGE, RANGE, STEREO, SURFACE
 from mgsgraph.record import Record
 
@@ -104,8 +104,7 @@ def fit_of_groups(rows: ResidualRows, priors: PriorRows, grouping: Grouping) -> 
     redundancy += np.sum(rows.considered**2, axis=1)
     number, names = numbers_of_groups(rows, grouping)
     tests = list[GroupTest]()
-    for k in np.unique(number).tolist():
-        members = np.flatnonzero(number == k)
+    for k, members in by_value(number):
         of_group, total = float(redundancy[members].sum()), float(rows.residuals[members] @ rows.residuals[members])
         tested = of_group > UNTESTED * members.size and BACK_PROJECTED not in names[k]
         p, weights = _tail(rows, members, of_group, total) if tested else (math.nan, np.zeros(0))

@@ -14,8 +14,9 @@ from mgsgraph.adjustment.marginals import JointCovariance, one_thread
 from mgsgraph.analysis.linearised import prior_rows
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import OrientationPrior
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, joined_rows, no_rows
 from mgsgraph.kernel.rows import GROUND, OUT
+from mgsgraph.names import numbered
 from mgsgraph.network import Network, Pass, PointClass, ProfileShifts
 
 if TYPE_CHECKING:
@@ -83,7 +84,7 @@ class Grouping:
     def of_columns(self, layout: Layout) -> Index:
         """(columns,) group of each adjusted column's prior."""
         parts = [self.unknowns[v] for v in layout.variables.adjusted()]
-        return np.concatenate([np.zeros(0, dtype=np.int64), *parts])
+        return joined_rows(parts)
 
 
 def group_rows(network: Network) -> Grouping:
@@ -112,9 +113,9 @@ def group_rows(network: Network) -> Grouping:
     labels += [part for j, part in enumerate(parts) if j >= polynomial.size or polynomial[j]]
     labels.append(np.full(0 if network.crossovers is None else 1, CROSSOVERS))
     names = list(dict.fromkeys(name for part in labels for name in dict.fromkeys(part.tolist())))
-    number = {name: g for g, name in enumerate(names)}
+    number = numbered(names)
 
-    def numbered(part: Sequence[str]) -> Index:
+    def numbers_in(part: Sequence[str]) -> Index:
         return np.array([number.get(name, 0) for name in part], dtype=np.int64)
 
     def constant(name: str, size: int) -> Index:
@@ -122,12 +123,12 @@ def group_rows(network: Network) -> Grouping:
 
     return Grouping(
         tuple(names),
-        numbered(of_ray.tolist()),
+        numbers_in(of_ray.tolist()),
         constant(RANGES, network.ranges.point.size),
         constant(GROUND_PRIORS, n),
         constant(HEIGHTS, n),
         constant(STEREO_HEIGHTS, n),
-        tuple(numbered(part.tolist()) for part in parts),
+        tuple(numbers_in(part.tolist()) for part in parts),
         number.get(CROSSOVERS, 0),
     )
 
@@ -294,7 +295,7 @@ class _Sums:
         for g in numbers:
             members = groups == g
             through_group, rest_group = through[:, members], rest[:, members]
-            turned = np.swapaxes(through_group, 1, 2)
+            turned = through_group.mT
             inner[g], outer[g] = (turned @ through_group).reshape(-1), _stacked(turned @ rest_group)
             flat = _stacked(rest_group)
             normal = flat.T @ flat
@@ -336,7 +337,7 @@ class _Sums:
             first = np.repeat(variables.first[v] + a, b.size)
             second = np.tile(variables.first[w] + b, a.size)
             links += [(first, second, where)] if v == w else [(first, second, where), (second, first, where)]
-        links.append((np.zeros(0, dtype=np.int64),) * 3)
+        links.append((no_rows(),) * 3)
         row, column, place = (np.concatenate(part) for part in zip(*links, strict=True))
         for g, flat in enumerate(self._flat):
             values, prior = flat[place], layout.prior.design[np.flatnonzero(of_row == g)]

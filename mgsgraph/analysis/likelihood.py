@@ -144,7 +144,7 @@ class Likelihood(Record):
         others are what suits them best.
         """
         network, variables = self._at.network, self._at.layout.variables
-        names = [*(item.name for item in network.images), *network.shift_names, *(item.name for item in network.shared)]
+        names = [*network.image_names, *network.shift_names, *(item.name for item in network.shared)]
         held, wanted = list[int](), self._at.orientation.copy()
         for name, value in values.items():
             variable = names.index(name) if name in names else -1
@@ -172,7 +172,7 @@ class Likelihood(Record):
         names = {f"{kind}{owner}" for kind in ("", "image ", "shared unknown ")}
         if names.isdisjoint(axis.owner for axis in self._frames.axes):
             with errors_from(f"likelihood, {owner!r}, no shift or shared unknown"):
-                (owner,) = image_names([owner], [image.name for image in self._at.network.images])
+                (owner,) = image_names([owner], self._at.network.image_names)
             names = {owner, f"image {owner}"}
         columns = [c for c, axis in enumerate(self._frames.axes) if axis.owner in names]
         for name in axes:

@@ -13,7 +13,7 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import COMPONENTS
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, finite_rows
 from mgsgraph.kernel.rows import OUT
 from mgsgraph.kernel.sweep import COSTS, reduce
 from mgsgraph.network import Network, PolynomialPrior
@@ -72,7 +72,7 @@ def at_values(
         from the network's own rows when absent.
     """
     layout = lay_out(network, settings, places)
-    out = ~np.all(np.isfinite(places), axis=1)
+    out = ~finite_rows(places)
     orientation, points = _placed(layout, values, np.where(out[:, None], 0.0, places))
     layout, points = exactly(layout, orientation, points)
     present = unmarked(network)

@@ -217,7 +217,7 @@ def judge_ground_priors(out: ScalarMeasures, covariance: Array, numbers: Array, 
     w_k = (P v)_k / sqrt((P Qvv P)_kk), Baarda's for correlated measures; an error e along axis k is U e in the rows.
     """
     back = np.linalg.cholesky(np.linalg.inv(covariance))
-    root = np.swapaxes(back, 1, 2)
+    root = back.mT
     # the kernel's rows of places are predicted minus measured
     misfit, share, effect = -numbers[:, :, 0], numbers[:, :, 1:4], numbers[:, :, 4:]
     remaining = np.eye(3) - share

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, finite_rows
 
 _NEIGHBORS = 16
 """Points by which a height is predicted."""
@@ -41,7 +41,7 @@ def predicted_heights(points: Array, heights: Array, sigmas: Array, places: Arra
 
     radius = float(np.median(np.linalg.norm(points, axis=1)))
     directions, asked = (radius * p / np.linalg.norm(p, axis=1, keepdims=True) for p in (points, places))
-    located, count = np.flatnonzero(np.all(np.isfinite(asked), axis=1)), min(_NEIGHBORS, len(points))
+    located, count = np.flatnonzero(finite_rows(asked)), min(_NEIGHBORS, len(points))
     tree, predicted = cKDTree(directions), np.full((2, len(places)), np.nan)
     for start in range(0, located.size, _BATCH):
         some = located[start : start + _BATCH]

@@ -17,14 +17,15 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import (
     Ellipsoid,
     east_north_up,
-    geodetic,
+    ellipsoidal_heights,
     intersect_ellipsoid,
     planetocentric,
 )
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.intersection import meet_terrain
 from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.records import Array, Index, Mask, all_pairs, finite_rows
+from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network import ImageRays
 from mgsgraph.network.corrections import designs
@@ -78,7 +79,7 @@ class SigmaGrid(Record):
         middle = [float(np.median(band[inside])) for band in self.values[:3]]
         worst = float(self.values[2][inside].max())
         return (
-            f"points measured to {self.sigma:g} px in {some(self.images, len(self.images))} would have sigmas of "
+            f"points measured to {self.sigma:g} px in {some(self.images)} would have sigmas of "
             f"{middle[0]:.3g} m east, {middle[1]:.3g} m north and {middle[2]:.3g} m up (medians over "
             f"{int(inside.sum())} cells); up is worst at {worst:.3g} m"
         )
@@ -110,7 +111,7 @@ def sigma_grid(
     points measured to 0.5 px in SIM/A, SIM/B would have sigmas of 6.63 m east, 7 m north and 20.8 m up (medians
     over 255 cells); up is worst at 24.3 m
     """
-    names = tuple(images) or tuple(image.name for image in posterior.network.images)
+    names = tuple(images) or tuple(posterior.network.image_names)
     numbers = [posterior.network.image_number(name) for name in names]
     if len(numbers) < 2 or len(set(names)) < len(names):
         raise InputError("sigma raster", f"images {', '.join(names)}", "two or more different images")
@@ -118,7 +119,7 @@ def sigma_grid(
     west, north, steps, rows, columns = _extent(posterior, numbers, names, height, cell)
     longitude = west + steps[0] * (np.arange(columns) + 0.5)
     latitude = north - steps[1] * (np.arange(rows) + 0.5)
-    ground = _ground(posterior, np.stack(np.meshgrid(longitude, latitude), axis=-1).reshape(-1, 2), height)
+    ground = _ground(posterior, all_pairs(longitude, latitude), height)
     visible, places = _seen(posterior, numbers, ground)
     several = np.flatnonzero(visible.sum(axis=1) >= 2)
     if several.size == 0:
@@ -134,7 +135,7 @@ def sigma_grid(
     values[:3, several] = np.sqrt(variances).T
     values[3, several] = np.sqrt(variances.sum(axis=1))
     if not np.any(np.isfinite(values)):
-        found = f"rays of {some(names, len(names))} that are all but parallel"
+        found = f"rays of {some(names)} that are all but parallel"
         raise InputError("sigma raster", found, "images that look from different sides")
     counts = visible.sum(axis=1).reshape(rows, columns)
     return SigmaGrid(names, sigma, west, north, steps, values.reshape(4, rows, columns), counts)
@@ -144,14 +145,14 @@ def _ground_height(posterior: "Posterior") -> float:
     """Height above the ellipsoid, m: the middle of the adjusted points'."""
     at = posterior.linearised
     places = at.points[np.linalg.norm(at.points, axis=1) > 0.0]
-    return float(np.median(geodetic(places, posterior.network.images[0].body)[:, 2])) if places.size else 0.0
+    return float(np.median(ellipsoidal_heights(places, posterior.network.body))) if places.size else 0.0
 
 
 def _ground(posterior: "Posterior", places: Array, height: float) -> Array:
     """(n, 3) m, ground at longitudes and planetocentric latitudes (n, 2): on the terrain model where there is one, else
     at a height above the ellipsoid.
     """
-    body, surface = posterior.network.images[0].body, posterior.network.surface
+    body, surface = posterior.network.body, posterior.network.surface
     longitudes, latitudes = places.T
     ground = on_surface(longitudes, latitudes, body, height)
     if surface is None:
@@ -176,7 +177,7 @@ def _extent(
         found = f"an overlap up to {np.abs([low[1], high[1]]).max() / DEG:.1f} deg of latitude"
         expected = f"at most {_POLAR / DEG:.0f} deg"
         raise InputError("sigma raster", found, expected, "choose images farther from the pole")
-    radius, shrunk = posterior.network.images[0].body.equatorial, np.array([np.cos(0.5 * (low[1] + high[1])), 1.0])
+    radius, shrunk = posterior.network.body.equatorial, np.array([np.cos(0.5 * (low[1] + high[1])), 1.0])
     side = float(np.sqrt(np.prod((high - low) * shrunk) / _CELLS)) if cell is None else cell / radius
     if not (np.isfinite(side) and 0.0 < side < (high - low).max()):
         found = f"cells of {side * radius:.3g} m"
@@ -280,9 +281,9 @@ class View:
     def seen(self, points: Array, terrain: TerrainGrid | None = None) -> Places:
         """Where ground points (n, 3) in m are in the image; on a terrain model, relief may hide them."""
         pixels, _ = self.image.ground_to_image(points, self.correction)
-        projected = np.all(np.isfinite(pixels), axis=1)
+        projected = finite_rows(pixels)
         states = np.full(len(points), State.NO_GROUND, dtype=object)
-        states[np.all(np.isfinite(points), axis=1)] = State.FAR_OUTSIDE
+        states[finite_rows(points)] = State.FAR_OUTSIDE
         states[projected] = State.OUTSIDE
         states[self._inside(pixels)] = State.SEEN
         where = np.flatnonzero(projected)
@@ -341,14 +342,14 @@ class View:
             normals = _terrain_normals(points[near], terrain)
             doubt[near] = self._terrain_sigmas(points[near], normals, terrain)
         rise[near] = directions / np.einsum("ni,ni->n", normals, directions)[:, None]  # m along the ray per m of height
-        met = np.all(np.isfinite(points), axis=1)
+        met = finite_rows(points)
         states[near & ~met] = State.NO_GROUND
         covariances = None
         if self.solution is not None:
             covariances = np.full((len(points), 3, 3), np.nan)
             spread = self._spread(points[met], pixels[met])
             moved = rise[met] * doubt[met, None]
-            covariances[met] = slopes[met] @ spread @ np.swapaxes(slopes[met], 1, 2)
+            covariances[met] = slopes[met] @ spread @ slopes[met].mT
             covariances[met] += moved[:, :, None] * moved[:, None]
         return Places(pixels, points, tuple(states), covariances)
 
@@ -379,7 +380,7 @@ class View:
 
         points = self.solution.places[adjusted]
         sigmas = local_sigmas(self.solution.covariances[adjusted], points)[:, 2]
-        return predicted_heights(points, geodetic(points, self.image.body)[:, 2], sigmas, places)
+        return predicted_heights(points, ellipsoidal_heights(points, self.image.body), sigmas, places)
 
     def _terrain_sigmas(self, points: Array, normals: Array, terrain: TerrainGrid) -> Array:
         """(n,) m, of a terrain model's height: its own, and of the solution's model what its shift, lift and tilt do,
@@ -430,8 +431,7 @@ def _squares(body: Ellipsoid) -> Array:
 
 def upward(points: Array, body: Ellipsoid) -> Array:
     """(n, 3) unit vectors, upward from an ellipsoid."""
-    across = points / _squares(body)
-    return np.asarray(across / np.linalg.norm(across, axis=1, keepdims=True))
+    return unit_vectors(points / _squares(body))
 
 
 def terrain_slopes(

@@ -9,7 +9,7 @@ The posterior of some points alone: their rows, and the covariance, known alread
 and the covariances of one point with all others of a network.
 """
 
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -36,12 +36,13 @@ from mgsgraph.errors import InputError, require
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import COMPONENTS, OrientationCorrection
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.records import Array, Index, Mask, joined_rows
 from mgsgraph.kernel.rows import FIXED, GOOD, OUT
 from mgsgraph.kernel.sweep import COSTS, point_covariances, reduce
+from mgsgraph.names import numbered
 from mgsgraph.network import ImageRays, Network
 from mgsgraph.network.corrections import adjusted_image, designs, whole_correction
-from mgsgraph.network.parts import Unknown, select_points, unknowns
+from mgsgraph.network.parts import ByUnknown, Unknown, select_points, unknowns
 from mgsgraph.record import Record
 
 _AXES = COMPONENTS[:3]
@@ -287,7 +288,7 @@ class Posterior(Record):
         pose = correction.apply(nominal, moments)
         turn = np.tile(np.eye(6), (lines.size, 1, 1))
         turn[:, 3:, 3:] = correction.axes(nominal, moments)
-        turned = -rotation.logarithm(pose.matrix @ np.swapaxes(nominal.matrix, 1, 2))
+        turned = -rotation.logarithm(pose.matrix @ nominal.matrix.mT)
         first, quantities = self.linearised.layout.variables.first, []
         follows = designs(self.network, image, correction.angles, lines)
         for k, (line, partials) in enumerate(zip(lines, follows, strict=True)):
@@ -328,7 +329,7 @@ def is_self_contained(network: Network) -> bool:
 
 
 def posterior_of(
-    network: Network, settings: SolverSettings, values: Mapping[Unknown, Array], places: Array,
+    network: Network, settings: SolverSettings, values: ByUnknown, places: Array,
     joint: Callable[[Sequence[Unknown]], Array],
 ) -> Posterior:  # fmt: skip
     """The posterior of a part of what was adjusted.
@@ -362,7 +363,7 @@ def posterior_of_points(solution: Solution, points: Index) -> Posterior | None:
     network = solution.network.with_rejected(solution.rays_rejected, solution.ranges_rejected, solution.stereo_rejected)
     if not is_self_contained(network) or (solution.minima is not None and solution.minima.several):
         return None
-    number = {unknown: v for v, unknown in enumerate(unknowns(network))}
+    number = numbered(unknowns(network))
     values = dict(zip(number, solution.values, strict=True))
     joint = solution.joint_covariance
     return posterior_of(
@@ -415,10 +416,9 @@ def cross_covariances(at: Linearised, point: int) -> Array:
             columns = at.layout.variables.width[variables_of_both]
             begin = dict(zip(variables_of_both, np.cumsum(columns) - columns, strict=True))
             parts = [
-                np.concatenate([np.zeros(0, dtype=np.int64),
-                                *(begin[v] + np.arange(at.layout.variables.width[v]) for v in variables)])
+                joined_rows(begin[v] + np.arange(at.layout.variables.width[v]) for v in variables)
                 for variables in (of_point.variables, rows.variables)
-            ]  # fmt: skip
+            ]
             joint[rows.variables] = carried[0] @ at.joint.of(variables_of_both)[np.ix_(*parts)]
         carried_by_others, _ = rows.eliminated()
         covariances[members] = np.einsum("ac,nbc->nab", joint[rows.variables], carried_by_others)

@@ -42,7 +42,7 @@ of a process has a strength of its own, exp(`_LESS`) of that of what they don't 
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -51,7 +51,7 @@ import numpy as np
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.marginals import dense_covariance as mixture_covariance
 from mgsgraph.adjustment.rounds import unmarked
-from mgsgraph.adjustment.settings import Iteration, SolverSettings
+from mgsgraph.adjustment.settings import Progress, SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.analysis.separability import LIMIT
@@ -65,7 +65,7 @@ from mgsgraph.analysis.strengths import (
     strength_sigmas,
     with_strength_sigmas,
 )
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, sigmas_of
 from mgsgraph.network import Network, Pass
 from mgsgraph.network.conditioning import NUGGET, dense_covariance
 from mgsgraph.record import Record
@@ -293,7 +293,7 @@ class EstimatedStrengths(Record):
     @property
     def correlation(self) -> Array:
         """(p, p) of the strengths."""
-        scale = np.sqrt(np.diagonal(self.covariance))
+        scale = sigmas_of(self.covariance)
         return np.asarray(self.covariance / scale[:, None] / scale)
 
     @property
@@ -316,7 +316,7 @@ def estimated_strengths(
     most: int = 15,
     tolerance: float = 0.01,
     name: str = "adjustment",
-    progress: Callable[[Iteration], None] = no_progress,
+    progress: Progress = no_progress,
     in_common: bool = False,
 ) -> EstimatedStrengths:
     """Find the strengths of all processes that are marked as `estimated`, and carry what is not known of them into the
@@ -354,7 +354,7 @@ def estimated_strengths(
         evidence = Evidence.of(solution, sought)
         steps = evidence.maximum()
         # a strength that is known to a tenth only need not converge to a hundredth
-        errors = np.sqrt(np.diagonal(np.linalg.inv(evidence.density(steps).information)))
+        errors = sigmas_of(np.linalg.inv(evidence.density(steps).information))
         converged = bool(np.all(np.abs(steps) <= tolerance * np.maximum(1.0, 10.0 * np.minimum(errors, 1.0))))
         if converged and several and not in_common:
             in_common, (evidence, sought, steps) = True, where_passes_differ(evidence, sought, steps)
@@ -370,7 +370,7 @@ def estimated_strengths(
     strengths = tuple(
         replace(strength, sigma=middle, error=error, interval=(low, high))
         for strength, low, middle, high, error in zip(
-            sought, *points.tolist(), np.sqrt(np.diagonal(covariance)).tolist(), strict=True
+            sought, *points.tolist(), sigmas_of(covariance).tolist(), strict=True
         )
     )
     same_motion = float(weights[2**_DRAWS :].sum())

@@ -39,7 +39,7 @@ from mgsgraph.analysis.measures import (
     names_of,
     units_of,
 )
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.records import Array, Index, Mask, no_rows
 from mgsgraph.kernel.rows import GROUND, NO_LOSS, OUT, PRIOR
 from mgsgraph.record import Record
 
@@ -183,7 +183,7 @@ def _taking_part(at: Linearised, roots: _Roots | None) -> tuple[Mask, Index, Ind
     network, places = at.network, at.layout.observation_rows
     used = _used(at, places.rays, network.rays.point, None if roots is None else roots.rays)
     shots = np.flatnonzero(_used(at, places.ranges, network.ranges.point, None if roots is None else roots.ranges))
-    stereo = np.zeros(0, dtype=np.int64)
+    stereo = no_rows()
     if at.layout.stereo is not None:
         of_stereo = None if roots is None else roots.stereo
         stereo = np.flatnonzero(_used(at, places.stereo, at.layout.stereo.points, of_stereo))
@@ -210,7 +210,7 @@ def _robust_roots(at: Linearised, numbers: Array) -> _Roots | None:
         return None
     network, places = at.network, at.layout.observation_rows
     raw = residuals(at.layout, at.orientation, at.points)
-    on, sigmas = np.zeros(0, dtype=np.int64), np.zeros(0)
+    on, sigmas = no_rows(), np.zeros(0)
     if at.layout.stereo is not None and network.stereo is not None:
         on, sigmas = at.layout.stereo.points, network.stereo.sigmas
     plain = (

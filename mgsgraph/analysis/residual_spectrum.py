@@ -28,7 +28,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.analysis.residual_rows import ResidualRows, residual_rows
 from mgsgraph.errors import require
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, by_value
 from mgsgraph.kernel.rows import IMAGE
 from mgsgraph.record import Record
 from mgsgraph.text import some
@@ -140,7 +140,7 @@ def residual_series(of: Solution | Linearised, fewest: int) -> Residuals:
     if rays.back_projected is not None:
         of_rays = of_rays[~rays.back_projected[rows.measure[of_rays]]]
     image = rays.image[rows.measure[of_rays]]
-    series = [of_turn for j in np.unique(image).tolist() for of_turn in _of_image(rows, j, of_rays[image == j], fewest)]
+    series = [of_turn for j, seen in by_value(image) for of_turn in _of_image(rows, j, of_rays[seen], fewest)]
     require(series, "residuals over time", f"no image with {fewest} rays that took part", "ties matched densely")
     return Residuals(rows, _pixels(rows, rows.residuals), tuple(series))
 
@@ -275,7 +275,7 @@ class SeriesSpectrum:
         normal[:, 0, 0], normal[:, 1, 1] = 0.5 * (squares.sum() + double[:, 0]), 0.5 * (squares.sum() - double[:, 0])
         normal[:, 0, 1] = normal[:, 1, 0] = 0.5 * double[:, 1]
         beside = np.stack([self._transformed(self._root * column, self._numbers) for column in self._basis.T], axis=2)
-        return np.asarray(normal - beside @ np.swapaxes(beside, 1, 2))
+        return np.asarray(normal - beside @ beside.mT)
 
     def _floor(self, tests: Array) -> tuple[Array, float]:
         """(f,) running median of the tests over that of chi-square with two degrees of freedom, and its own freedom."""
@@ -415,7 +415,7 @@ class ResidualVibrations(Record):
             lines = [f"No image's residuals show a vibration ({100.0 * FALSE_ALARMS:g} % false alarms per angle)."]
         blind = [f"{entry.turn} of {entry.image}" for entry in self.spectra if entry.blind and entry.turn != "yaw"]
         if blind:
-            lines.append(f"Vibrations not tested: {some(blind, len(blind))} (heights of points absorb them).")
+            lines.append(f"Vibrations not tested: {some(blind)} (heights of points absorb them).")
         return lines
 
 

@@ -29,7 +29,7 @@ from mgsgraph.analysis.linearised import unknown_name
 from mgsgraph.analysis.statistics import pass_turns
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import Angles
-from mgsgraph.geometry.records import Array, Index, place_of
+from mgsgraph.geometry.records import Array, Index, by_value, joined_rows, place_of
 from mgsgraph.network import Network, SharedKind, SharedUnknown
 from mgsgraph.network.shared import ground_shift
 from mgsgraph.record import Record
@@ -160,8 +160,8 @@ def _groups(correlation: Array, limit: float) -> list[Index]:
     from scipy.sparse.csgraph import connected_components
 
     _, label = connected_components(csr_array(np.abs(correlation) > limit), directed=False)
-    groups = [group for k in np.unique(label).tolist() if (group := np.flatnonzero(label == k)).size > 1]
-    paired = np.concatenate([np.zeros(0, dtype=np.int64), *groups])
+    groups = [group for _, group in by_value(label) if group.size > 1]
+    paired = joined_rows(groups)
     listed = {tuple(group.tolist()) for group in groups}
     for k in np.setdiff1d(np.arange(label.size), paired).tolist():
         others = np.delete(np.arange(label.size), k)
@@ -341,7 +341,7 @@ def _shared_columns(solution: Solution) -> Index:
     """Columns of the shared unknowns, in their order."""
     first, begins = solution.network.first_shared, solution.joint_covariance.square_root.first
     parts = [begins[first + k] + np.arange(shared.kind.width) for k, shared in enumerate(solution.network.shared)]
-    return np.concatenate([np.zeros(0, dtype=np.int64), *parts])
+    return joined_rows(parts)
 
 
 def column_names(network: Network, root: SquareRoot) -> list[str]:

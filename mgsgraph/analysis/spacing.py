@@ -148,7 +148,7 @@ def whitening(solution: Solution, held: HeldOut) -> Array:
         at.rows, layout.groups, layout.blocks.target, layout.model, at.orientation, fixed, at.points
     )  # fmt: skip
     _, slopes = misfits(solution, held)
-    spread = slopes @ layout.network_order(covariances)[points] @ np.swapaxes(slopes, 1, 2)
+    spread = slopes @ layout.network_order(covariances)[points] @ slopes.mT
     spread[:, [0, 1], [0, 1]] += network.rays.sigmas[held.rays] ** 2
     roots = np.full_like(spread, np.nan)
     good = np.isfinite(spread).all(axis=(1, 2))

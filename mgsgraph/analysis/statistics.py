@@ -20,7 +20,7 @@ from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.orientation import COMPONENTS as AXES
 from mgsgraph.geometry.orientation import SUPPORT, Angles, Moments, OrientationCorrection
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.records import Array, Index, Mask, by_value, sigmas_of
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.network import Network, NodePrior, Pass, PointClass
 from mgsgraph.network.connectivity import Connectivity, connectivity, network_footprints
@@ -359,8 +359,7 @@ def pass_corrections(solution: Solution, pass_: str | int, times: Array) -> Pass
     values = np.einsum("nk,nkc->nc", basis, solution.nodes[pass_][first[:, None] + np.arange(SUPPORT)])
     variable = int(solution.network.first_of_passes[pass_])
     covariance = np.empty((times.size, 6, 6))
-    for k in np.unique(first).tolist():
-        members = first == k
+    for k, members in by_value(first):
         joint = solution.joint_covariance.of(range(variable + k, variable + k + SUPPORT))
         joint = joint.reshape(SUPPORT, 6, SUPPORT, 6)
         covariance[members] = np.einsum("np,piqj,nq->nij", basis[members], joint, basis[members])
@@ -440,7 +439,7 @@ def _trend(solution: Solution, pass_number: int) -> tuple[tuple[str, str, float,
     if not isinstance(prior, NodePrior) or not values.size:
         return ()
     variable = int(solution.network.first_of_passes[pass_number + 1]) - 1
-    sigmas = np.sqrt(np.diagonal(solution.joint_covariance.block(variable, variable)))
+    sigmas = sigmas_of(solution.joint_covariance.block(variable, variable))
     biases = int(np.count_nonzero(prior.bias))
     return tuple(
         ("bias" if c < biases else "drift", AXES[component], float(values[c]), float(sigmas[c]))

@@ -14,7 +14,7 @@ import numpy as np
 
 from mgsgraph.analysis.residual_rows import ResidualRows
 from mgsgraph.geometry.body import east_north_up
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, by_value
 from mgsgraph.kernel.rows import GROUND, IMAGE, STEREO, SURFACE
 from mgsgraph.network import TERRAIN, Network, PointClass, SharedKind, SharedUnknown
 from mgsgraph.network.effects import along_track, footprint_motion
@@ -112,8 +112,8 @@ def families(rows: ResidualRows) -> Iterator[Family]:
     rays = rows.of_kind(IMAGE)
     image = network.rays.image[rows.measure[rays]]
     by_sample = list[Family]()
-    for j in np.unique(image).tolist():
-        members = rays[image == j]
+    for j, of_image in by_value(image):
+        members = rays[of_image]
         if np.unique(rows.point[members]).size >= _FEWEST:
             yield _by_time(rows, j, members)
             by_sample.append(_by_sample(rows, j, members))
@@ -233,7 +233,7 @@ def _of_motion(
     if crossing is not None:
         place = np.searchsorted(members, crossing.shots).clip(max=members.size - 1)
         inside = (members[place] == crossing.shots)[:, :, None, None]
-        moved = crossing.effect(network.points.places, np.swapaxes(np.where(inside, motion[place], 0.0), 2, 3))
+        moved = crossing.effect(network.points.places, np.where(inside, motion[place], 0.0).mT)
         last = rows.kind.size - moved.shape[0] + np.arange(moved.shape[0])
         shots, columns = np.append(shots, last), np.concatenate([columns, moved / crossing.sigmas[:, None]])
     return Family(where, shots, columns, tuple(effects))

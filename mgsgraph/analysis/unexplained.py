@@ -22,7 +22,7 @@ from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.analysis.residual_rows import ResidualRows, correlations, residual_rows
 from mgsgraph.analysis.systematic import EffectKind, Family, Hypothesis, families
 from mgsgraph.errors import require
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, by_value
 from mgsgraph.network import Network
 from mgsgraph.record import Record
 from mgsgraph.units import MRAD
@@ -53,8 +53,7 @@ class Judged:
         squares = float(residuals[self.beside] @ residuals[self.beside])
         results, hypotheses = list[Test](), self.family.hypotheses
         widths = np.array([len(hypothesis.columns) for hypothesis in hypotheses])
-        for width in np.unique(widths).tolist():
-            of_width = np.flatnonzero(widths == width)
+        for _, of_width in by_value(widths):
             chosen = np.array([hypotheses[k].columns for k in of_width.tolist()])
             inverse, degrees = solved(self.variance[chosen[:, :, None], chosen[:, None, :]], self.size[chosen])
             statistic = np.einsum("td,tde,te->t", self.score[chosen], inverse, self.score[chosen]) / spread

@@ -25,11 +25,12 @@ import numpy as np
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.cluster.connection import Connection
-from mgsgraph.adjustment.settings import Iteration, SolverSettings
+from mgsgraph.adjustment.settings import Progress, SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.process_strengths import estimated_strengths
 from mgsgraph.analysis.residual_spectrum import residual_vibrations
 from mgsgraph.geometry.records import Array, Index
+from mgsgraph.names import grouped
 from mgsgraph.network import Network, SharedUnknown
 from mgsgraph.network.joining import seconds, sine_over
 from mgsgraph.record import Record
@@ -151,7 +152,7 @@ def estimated_vibrations(
     network: Network,
     settings: SolverSettings,
     name: str = "adjustment",
-    progress: Callable[[Iteration], None] = no_progress,
+    progress: Progress = no_progress,
     adjust: Callable[..., Solution] = adjust_network,
     passes: Sequence[str] = (),
 ) -> EstimatedVibrations:
@@ -223,7 +224,7 @@ def with_lines(network: Network, owners: Owners, lines: Sequence[Line]) -> Netwo
 
 def _refined(
     network: Network, owners: Owners, lines: list[Line], settings: SolverSettings, name: str,
-    progress: Callable[[Iteration], None],
+    progress: Progress,
 ) -> tuple[list[Line], bool]:
     """Lines with refined frequencies, and whether these converged; with what their drifts may be."""
     rough = replace(settings, step_tolerance=max(settings.step_tolerance, _ROUGH))
@@ -283,7 +284,7 @@ def _chosen(line: Line, at: _Drifts, drifts: bool) -> Line:
 
 
 def adjusted(
-    network: Network, settings: SolverSettings, name: str, progress: Callable[[Iteration], None],
+    network: Network, settings: SolverSettings, name: str, progress: Progress,
     vibrating: Sequence[str] = (), workers: Connection | None = None,
 ) -> tuple[Solution, list[str]]:
     """An adjustment with all that is to be found on the way, strengths of processes and vibrations of passes, and what
@@ -292,7 +293,7 @@ def adjusted(
     sentences = list[str]()
 
     def once(
-        network: Network, settings: SolverSettings, name: str, progress: Callable[[Iteration], None]
+        network: Network, settings: SolverSettings, name: str, progress: Progress
     ) -> Solution:
         if not any(pass_.asks_for_strengths for pass_ in network.passes):
             return adjust_network(network, settings, name, progress, workers)
@@ -308,10 +309,8 @@ def adjusted(
 
 def amplitudes(solution: Solution) -> tuple[Amplitude, ...]:
     """What rays show of all vibrations that are unknowns."""
-    of_frequency, shared = dict[float, list[int]](), solution.network.shared
-    for k, unknown in enumerate(shared):
-        if unknown.sine is not None:
-            of_frequency.setdefault(unknown.sine.frequency, []).append(k)
+    sines = [(unknown.sine, k) for k, unknown in enumerate(solution.network.shared)]
+    of_frequency = grouped((sine.frequency, k) for sine, k in sines if sine is not None)
     records = list[Amplitude]()
     for members in of_frequency.values():
         joint = solution.joint_covariance.of([solution.shared_variable(k) for k in members])

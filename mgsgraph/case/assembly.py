@@ -26,7 +26,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array, Index, Mask, chosen_rows, concatenated
 from mgsgraph.geometry.terrain import TerrainGrid
-from mgsgraph.names import Names, RepeatedNames
+from mgsgraph.names import Names, RepeatedNames, numbered
 from mgsgraph.network import (
     GroundPoints,
     ImageRays,
@@ -110,7 +110,7 @@ class Parts:
 
     def __init__(self, images: tuple[PushbroomImage, ...]) -> None:
         self.images = images
-        self._index = {image.name: j for j, image in enumerate(images)}
+        self._index = numbered(image.name for image in images)
         self.count = 0
         """Points so far."""
         self._names: list[tuple[str, Names]] = []
@@ -429,7 +429,7 @@ def in_images(
     if held.all():
         return points, ""
     foreign = points.measure_image[~held].used
-    called = some(foreign, len(foreign))
+    called = some(foreign)
     before, after = (
         np.bincount(points.measure_point[selection], minlength=len(points.ids)) for selection in (slice(None), held)
     )
@@ -437,7 +437,7 @@ def in_images(
     dropped = (after < before) & (after < np.where(needs_rays, 2, 1))
     if dropped.all():
         found = f"points that are measured in {called}, and none that enough others see"
-        expected = f"points measured in the images of {holder} ({some(images, len(images))})"
+        expected = f"points measured in the images of {holder} ({some(images)})"
         raise InputError(points.source, found, expected, "call images as the network does")
     left = points.with_measures(held).chosen(np.flatnonzero(~dropped))
     sentence = f"Left out of {points.source}: {many(int((~held).sum()), 'measure')} in "

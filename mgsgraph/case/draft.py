@@ -251,8 +251,7 @@ def draft_case(given: Sequence[Path], out: Path, name: str = "", replace: bool =
         a case file that is there already.
     """
     require(not out.is_dir(), str(out), "a folder", "a case file (case.toml in it, say)")
-    if out.exists() and not replace:
-        raise InputError(str(out), "there already", remedy="choose another --out, or give --replace")
+    require(not out.exists() or replace, str(out), "there already", remedy="choose another --out, or give --replace")
     require_free(out, _CASE_FILE, remedy="choose another --out")
     kinds, unknown = _kinds(given)
     kernels = _kernels(kinds)
@@ -285,12 +284,11 @@ def draft_case(given: Sequence[Path], out: Path, name: str = "", replace: bool =
             decode(temporary)
         except InputError as error:  # never a case file under its name that can't be read
             raise InputError(str(out), str(error).replace(str(temporary), out.name)) from None
-    called = some([draft.name for draft in images], len(images))
-    remarks = [f"- {many(len(images), 'image')} of {next(iter(bodies))}: {called}"]
+    remarks = [f"- {many(len(images), 'image')} of {next(iter(bodies))}: {some([draft.name for draft in images])}"]
     remarks += [f"- {part.path.name}: {kinds[part.path]}{part.note and f', {part.note}'}" for part in parts]
     remarks += [f"- {draft.path.name}: {_ROUGH} (line_times)" for draft in images if draft.line_times is not None]
     remarks += [f"- {draft.path.name}: {_NO_ORBIT} (resection)" for draft in images if draft.resected]
-    remarks += [f"- No image for {len(missing)} that networks name: {some(missing, len(missing))}"] if missing else []
+    remarks += [f"- No image for {len(missing)} that networks name: {some(missing)}"] if missing else []
     remarks += [f"- A-priori sigmas of {accuracy.words}" for accuracy in (usual, *others)]
     remarks += [f"- Left out: {line}" for line in left_out]
     remarks += [] if measured else ["- Missing: tie points, ground control, or laser shots with measures"]
@@ -345,7 +343,7 @@ def _no_image(
     if left_out:  # labels come last: where there are kernels, it is they that say what is missing
         file, _, reason = left_out[-1].partition(": ")
         tried = [line.partition(": ")[0] for line in left_out]
-        return InputError(file, reason, remedy=f"so there is no image: {some(tried, len(tried))} can't be read")
+        return InputError(file, reason, remedy=f"so there is no image: {some(tried)} can't be read")
     unrecognized = [f"{path.name} {why}" for path, why in unknown.items()]
     holds = ", ".join([*dict.fromkeys(map(str, kinds.values())), *unrecognized[:1]])
     found = f"no image{f': it holds {holds}' if holds else ''}"

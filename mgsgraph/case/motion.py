@@ -16,7 +16,7 @@ from mgsgraph.geometry.orientation import OrientationImages, evenly_spaced
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import tdb_of_utc
 from mgsgraph.network import NodePrior, Process
-from mgsgraph.network.joining import seconds, straightest
+from mgsgraph.network.joining import seconds, spans, straightest
 from mgsgraph.text import listed
 from mgsgraph.units import MGON, MRAD
 
@@ -64,7 +64,7 @@ class NodesInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
         keys = [key for key in ("spacing_s", "spacing_lines", "times_et_s", "times_utc") if getattr(self, key)]
         if len(keys) > 1:
             raise InputError(where, listed(keys), "one of them")
-        edges, epoch = np.array([seconds(image) for image in pictures]), pictures[0].trajectory.epoch
+        edges, epoch = spans(pictures), pictures[0].trajectory.epoch
         start, stop = float(edges[:, 0].min()), float(edges[:, 1].max())
         if self.times_et_s or self.times_utc:
             times = tdb_of_utc(self.times_utc, f"{where}, times_utc") if self.times_utc else np.array(self.times_et_s)
@@ -284,8 +284,7 @@ def _process(entry: Motion | ProcessInput, motion: Motion, where: str) -> Proces
     assert entry.model != "polynomial"
     key = f"sigma_{motion.unit}"
     for foreign in ("sigma_m", "sigma_mrad"):
-        if foreign != key and getattr(entry, foreign, None) is not None:
-            raise InputError(where, f"{foreign}, of {motion.what}", key)
+        require(foreign == key or getattr(entry, foreign, None) is None, where, f"{foreign}, of {motion.what}", key)
     value = getattr(entry, key)
     if value is None:
         raise InputError(where, f"{entry.model} without a sigma", f'{key}: a number, three, or "estimated"')

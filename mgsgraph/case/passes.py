@@ -35,6 +35,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationImages, OrientationPrior, evenly_spaced
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.trajectory import AttitudeTable, FixedTrajectory, PositionTable, Trajectory, utc_of_tdb
+from mgsgraph.names import grouped, numbered
 from mgsgraph.network import (
     Network,
     NodePrior,
@@ -46,7 +47,7 @@ from mgsgraph.network import (
     SharedKind,
     SharedUnknown,
 )
-from mgsgraph.network.joining import found_passes, mountings, seconds, sine_over
+from mgsgraph.network.joining import found_passes, mountings, seconds, sine_over, spans
 from mgsgraph.units import DEG, MRAD
 
 _CORRELATION_TIMES = 2.0
@@ -101,7 +102,7 @@ class PassInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
         if self.nodes is not None:
             found = "nodes beside polynomials, which four nodes over the pass carry"
             raise InputError(where, found, "nodes with a process", "take one of the two out")
-        edges, epoch = np.array([seconds(image) for image in pictures]), pictures[0].trajectory.epoch
+        edges, epoch = spans(pictures), pictures[0].trajectory.epoch
         start, stop = float(edges[:, 0].min()) - epoch, float(edges[:, 1].max()) - epoch
         return evenly_spaced("lagrange", epoch, (start, stop), stop - start)
 
@@ -161,13 +162,13 @@ class PassInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 def _longest(pictures: Sequence[PushbroomImage]) -> float:
     """S from the first line of some images to the last one."""
-    edges = np.array([seconds(image) for image in pictures])
+    edges = spans(pictures)
     return float(edges[:, 1].max() - edges[:, 0].min())
 
 
 def members(entries: Sequence[PassInput], names: Sequence[str], path: str) -> list[list[int]]:
     """Images of each pass, ascending, by the names of all; each image is of one at most."""
-    index, owner = {name: j for j, name in enumerate(names)}, dict[int, int]()
+    index, owner = numbered(names), dict[int, int]()
     for k, entry in enumerate(entries):
         where = f"{path}, passes[{k}], images"
         if entry.images is not None and not entry.images:
@@ -404,7 +405,7 @@ def _beside(position: PositionTable, camera: AttitudeTable, arm: Array) -> Posit
     times = times[(times >= position.times[0]) & (times <= position.times[-1])]
     places, velocities = position.at(times)
     matrix, rate = camera.at(np.clip(times, *camera.times[[0, -1]]))
-    to_table = np.swapaxes(matrix, 1, 2)
+    to_table = matrix.mT
     moving = to_table @ np.cross(rate, arm)[:, :, None]
     return PositionTable(times, places + to_table @ arm, velocities + moving[:, :, 0])
 
@@ -473,10 +474,8 @@ def _sharing(entry: MountingInput, of_mounting: Sequence[int], network: Network)
     """What to add to an unknown's name, and the images that share it."""
     if entry.sharing == "campaign":
         return [("", list(of_mounting))]
-    groups = dict[str, list[int]]()
-    for j in of_mounting:
-        owner = int(network.pass_of[j])
-        groups.setdefault(network.passes[owner].name if owner >= 0 else network.images[j].name, []).append(j)
+    owners = [(int(network.pass_of[j]), j) for j in of_mounting]
+    groups = grouped((network.passes[k].name if k >= 0 else network.images[j].name, j) for k, j in owners)
     return [(f", {name}", images) for name, images in groups.items()]
 
 

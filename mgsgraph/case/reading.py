@@ -3,7 +3,7 @@
 Paths are relative to the case file.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from msgspec import structs
 
-from mgsgraph.adjustment.settings import Iteration, SolverSettings
+from mgsgraph.adjustment.settings import Progress, SolverSettings
 from mgsgraph.case.assembly import Parts, in_images, merged, with_sigmas
 from mgsgraph.case.case_file import decode, instruments, read_images
 from mgsgraph.case.case_file import read_image as read_image
@@ -107,7 +107,7 @@ class Case(Record):
 
     def require_images_of(self, solution: "Solution") -> None:
         """Raise InputError where it has none of a solution's images: it is the case of another solution."""
-        own, others = (sorted(image.name for image in net.images) for net in (self.network, solution.network))
+        own, others = (sorted(net.image_names) for net in (self.network, solution.network))
         if not set(own) & set(others):
             found = f"images such as {own[0]}"
             raise InputError(str(self.path), found, f"those of the solution, such as {others[0]}", "name its case")
@@ -236,7 +236,7 @@ def _require_same_heights(
     scatter = 1.4826 * float(np.median(np.abs(off - middle)))
     entry = tables.terrain_models[0]
     if abs(middle) > _TOO_FAR * np.hypot(scatter, np.hypot(entry.vertical_sigma_m, entry.height_sigma_m or 0.0)):
-        likely = _likely_surface(entry, middle, shots, network.images[0].body, profiles)
+        likely = _likely_surface(entry, middle, shots, network.body, profiles)
         found = f"heights {-middle:+.0f} m off those of the laser (median of {off.size} shots){likely}"
         raise InputError(
             f"{path}, terrain", found, "the same ground",
@@ -279,7 +279,7 @@ def _with_shared(
     """The network with the unknowns that its images share, and with heights and beams of profiles; those of the laser
     go with its rows.
     """
-    names = [image.name for image in network.images]
+    names = network.image_names
     shared = tuple(entry.unknown(names, f"{path}, shared[{k}]") for k, entry in enumerate(tables.shared))
     of_mountings = mounted(tables.mountings, instruments(tables, path), names, str(path))
     unknown = mounting_unknowns(tables.mountings, of_mountings, network, str(path))
@@ -318,7 +318,7 @@ def _require_seeing_images(network: Network, notes: Sequence[str]) -> None:
         )
 
 
-def adjust(case: Case, progress: Callable[[Iteration], None] = no_progress) -> "Solution":
+def adjust(case: Case, progress: Progress = no_progress) -> "Solution":
     """Adjust a case, strengths of processes and vibrations that it wants estimated found on the way; see
     `mgsgraph.adjustment.adjust.adjust_network`, `mgsgraph.analysis.vibrations.adjusted`.
 

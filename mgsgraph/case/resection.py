@@ -26,7 +26,7 @@ from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import east_north, from_planetocentric, is_another, surface_radii, target_name
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.plausibility import START, require_plausible
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, finite_rows
 from mgsgraph.geometry.trajectory import circular_flight, flight_frame, tdb_of_utc
 from mgsgraph.units import DEG, KM
 
@@ -224,7 +224,7 @@ def _ties_on_ellipsoid(
             measures.append(points.measures[own[first]])
             ground.append(image.image_to_ground(*points.measures[other[second]].T)[0])
     places, met = np.concatenate(measures), np.concatenate(ground)
-    sound = np.all(np.isfinite(met), axis=1)
+    sound = finite_rows(met)
     if not sound.any():
         found = f"no tie point that {name} and an image with an orbit measure, and no place"
         raise InputError(where, found, "tie points in [ties], or longitude_deg and latitude_deg of its middle")

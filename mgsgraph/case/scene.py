@@ -14,10 +14,10 @@ from mgsgraph.case.terrain import as_grid, read_terrain_model
 from mgsgraph.errors import InputError, require
 from mgsgraph.files.altimetry.lidar import read_lidar
 from mgsgraph.files.rasters.pictures import read_picture
-from mgsgraph.geometry.body import geodetic
+from mgsgraph.geometry.body import ellipsoidal_heights
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, all_pairs, finite_rows
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.matching.scene import Ground, GroundChart, Picture, Scene
 
@@ -75,8 +75,7 @@ def read_scene(
 
 
 def _require_sound(height: float | None, height_sigma: float | None) -> None:
-    if height is not None and not np.isfinite(height):
-        raise InputError("height of the ground", f"{height}", "metres above the ellipsoid")
+    require(height is None or np.isfinite(height), "height of the ground", f"{height}", "metres above the ellipsoid")
     if height_sigma is not None and not 0.0 < height_sigma < np.inf:
         raise InputError("sigma of the ground's height", f"{height_sigma}", "a positive number of metres")
 
@@ -131,10 +130,10 @@ def _places(images: Sequence[PushbroomImage], height: float) -> Array:
     """(n, 3) m, corners and middles of the images' sides and themselves, those that see the body."""
     parts = []
     for image in images:
-        lines, samples = np.meshgrid(np.linspace(0.0, image.lines, 9), np.linspace(0.0, image.samples, 3))
-        parts.append(image.image_to_ground(lines.ravel(), samples.ravel(), height)[0])
+        lines, samples = all_pairs(np.linspace(0.0, image.lines, 9), np.linspace(0.0, image.samples, 3)).T
+        parts.append(image.image_to_ground(lines, samples, height)[0])
     places = np.concatenate(parts)
-    places = places[np.all(np.isfinite(places), axis=1)]
+    places = places[finite_rows(places)]
     require(places.size != 0, "images to match", "none that sees the body", "images of the ground")
     return places
 
@@ -160,5 +159,5 @@ def _heights(
         shots = [read_lidar(path.parent / group.file).footprints for group in tables.laser_groups]
         shots += [(profile := read_profile(entry, path.parent)).footprints[profile.ground] for entry in tables.shots]
         places = _in_images(images, np.concatenate([np.zeros((0, 3)), *shots]))
-    places = places[np.all(np.isfinite(places), axis=1)]
-    return geodetic(places, images[0].body)[:, 2] if places.size else np.zeros(0)
+    places = places[finite_rows(places)]
+    return ellipsoidal_heights(places, images[0].body) if places.size else np.zeros(0)

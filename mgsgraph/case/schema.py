@@ -9,7 +9,7 @@ import numpy as np
 from mgsgraph.adjustment.settings import Angles, Device, Line, Loss, SolverSettings
 from mgsgraph.case.motion import Factor, Positive, Sigma, three
 from mgsgraph.case.passes import MountingInput, PassInput
-from mgsgraph.errors import InputError, errors_from
+from mgsgraph.errors import InputError, errors_from, require
 from mgsgraph.files.labels.aberration import Observer
 from mgsgraph.files.labels.accuracy import accuracy_of
 from mgsgraph.geometry.altimetry import Altimeter
@@ -347,8 +347,7 @@ class SharedInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
             if name not in names:
                 found, some_names = f"the image {name!r}", ", ".join(list(names)[:4])
                 raise InputError(f"{where}, images", found, f"some of the case's images ({some_names})")
-            if self.images.count(name) > 1:
-                raise InputError(f"{where}, images", f"{name!r} twice", "each image once")
+            require(self.images.count(name) <= 1, f"{where}, images", f"{name!r} twice", "each image once")
         members = [list(names).index(name) for name in self.images or names]
         sigmas = _sigmas(given[sigma_key], kind.width, f"{where}, {sigma_key}", self.kind) * scale
         with errors_from(where):

@@ -11,7 +11,7 @@ from mgsgraph.case.schema import TerrainInput
 from mgsgraph.errors import InputError, require
 from mgsgraph.geometry.body import Ellipsoid, east_north, planetocentric
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, all_pairs, finite_rows
 from mgsgraph.geometry.terrain import PostLattice, TerrainGrid, TerrainKind, areoid_grid
 from mgsgraph.geometry.terrain_grids import above_areoid, mosaic, track_gaps
 from mgsgraph.network.observations import box_of, in_degrees
@@ -183,7 +183,7 @@ def require_level(areoid: TerrainGrid, body: Ellipsoid) -> None:
 
 def _about(ground: Array) -> Array:
     """(4 n, 3) m, points beside those of the ground (n, 3) by as far as heights and orientation may be wrong."""
-    finite = ground[np.all(np.isfinite(ground), axis=1)]
+    finite = ground[finite_rows(ground)]
     offsets = _BEYOND * east_north(finite)
     return np.concatenate([finite + sign * offsets[:, axis] for axis in range(2) for sign in (-1.0, 1.0)])
 
@@ -192,6 +192,6 @@ def _ground(images: Sequence[PushbroomImage]) -> Array:
     """(n, 3) m, on the ellipsoid, a lattice over each image; NaN where it looks past the body."""
     parts = []
     for image in images:
-        lines, samples = np.meshgrid(np.linspace(0.0, image.lines, _EDGES), np.linspace(0.0, image.samples, 9))
-        parts.append(image.image_to_ground(lines.ravel(), samples.ravel())[0])
+        places = all_pairs(np.linspace(0.0, image.lines, _EDGES), np.linspace(0.0, image.samples, 9))
+        parts.append(image.image_to_ground(*places.T)[0])
     return np.concatenate(parts)

@@ -83,7 +83,7 @@ def split(case: Path, out: Path) -> None:
     sizes = sorted(len(images) for images in division.groups.values()) or [0]
     click.echo(f"{many(sum(sizes), 'image')} in {many(len(division.groups), 'group')} of {sizes[0]} to {sizes[-1]}")
     for what, names in (("Alone, in no group", division.alone), ("Now part of other groups", division.merged)):
-        print_sentences(f"{what}: {some(names, len(names))}" if names else "")
+        print_sentences(f"{what}: {some(names)}" if names else "")
     match = command_line("match", out / "NAME" / "case.toml", "--out", out / "NAME" / "matches")
     steps = [*([] if division.measured else [match]), command_line("batch", out, "--projects")]
     click.echo(f"The cases are in {out}; next: {'; then '.join(steps)}")

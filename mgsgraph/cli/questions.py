@@ -217,8 +217,10 @@ def plan(
 
 def _show(section: "Section", out: Path | None, record: str, label: str, figures: bool = True, more: int = 0) -> None:
     """Write a section to a folder, if given, and print it."""
+    from mgsgraph.results.section import write_sections
+
     if out is not None:
-        section.write_folder(out, record, figures)
+        write_sections([section], section.numbers, out, record, figures)
     print_brief(section.text(None), more=more + (out is not None))
     if out is not None:
         click.echo(f"The {label} is in {out}")

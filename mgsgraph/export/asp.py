@@ -59,7 +59,7 @@ def write_asp(
     """
     files = _files(solution, images or {})
     network = _taking_part(solution, files, scaled)
-    body = solution.network.images[0].body
+    body = solution.network.body
     texts = dict[str, str | bytes]()
     if any(point.type == PointType.FREE and len(point.measures) > 1 for point in network.points):
         texts |= {path.as_posix(): content for path, content in match_files(network, Path(PREFIX)).items()}
@@ -75,7 +75,7 @@ def write_asp(
 
 def _files(solution: Solution, named: Mapping[str, str]) -> list[str]:
     """File of each image's pixels."""
-    names = [image.name for image in solution.network.images]
+    names = solution.network.image_names
     for name in named:
         if name not in names:
             found, some_names = f"the image {name!r}", ", ".join(names[:4])
@@ -98,7 +98,7 @@ def _has_pixels(file: str) -> bool:
 def _taking_part(solution: Solution, files: Sequence[str], scaled: bool) -> ControlNetwork:
     """The adjusted network with only the measures that took part, and images named by their files."""
     network = adjusted_network(solution, scaled=scaled)
-    file = dict(zip((image.name for image in solution.network.images), files, strict=True))
+    file = dict(zip(solution.network.image_names, files, strict=True))
     ids, rays = solution.network.points.ids, solution.network.rays
     used = {
         (ids[i], solution.network.images[j].name)
@@ -135,7 +135,7 @@ def _positive(covariance: Sequence[float]) -> bool:
 
 
 def _readme(solution: Solution, written: Sequence[str], scaled: bool) -> str:
-    body, version = solution.network.images[0].body, solution.versions.get("mgsgraph", "")
+    body, version = solution.network.body, solution.versions.get("mgsgraph", "")
     matches = any(name.startswith(PREFIX) for name in written)
     sample = f" --match-files-prefix {PREFIX}" if matches else ""
     control = f" {CONTROL}" if CONTROL in written else ""

@@ -26,7 +26,7 @@ from mgsgraph.files.output.table import picked, quoted
 from mgsgraph.files.writing import write_files
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import in_turn, planetocentric
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, by_value, finite_rows
 from mgsgraph.geometry.trajectory import Trajectory
 from mgsgraph.network import Network, PointClass, PolynomialPrior
 from mgsgraph.network.corrections import designs
@@ -82,9 +82,9 @@ def orientation_polynomials(solution: Solution, image: str | int, degree: int) -
     trajectory = picture.trajectory
     outward = np.broadcast_to(np.eye(3), (PLACES, 3, 3))
     if isinstance(trajectory, Trajectory):
-        outward = np.swapaxes(trajectory.body.at(moments.times)[0], 1, 2)
+        outward = trajectory.body.at(moments.times)[0].mT
     position = [np.einsum("nij,nj->ni", outward, pose.position) for pose in (before, after)]
-    matrix = [pose.matrix @ np.swapaxes(outward, 1, 2) for pose in (before, after)]
+    matrix = [pose.matrix @ outward.mT for pose in (before, after)]
     angles = [rotation.angles_313(attitude) for attitude in matrix]
     values = np.hstack([position[0], np.unwrap(angles[0], axis=0)])
     moved = np.hstack([position[1] - position[0], in_turn(angles[1] - angles[0])])
@@ -282,13 +282,12 @@ def _residuals_csv(solution: Solution) -> str:
     network, rays = solution.network, solution.network.rays
     laser = network.points.classes == PointClass.LASER
     order = np.lexsort((rays.point, laser[rays.point]))
-    order = order[np.isfinite(solution.residuals[order]).all(axis=1)]
+    order = order[finite_rows(solution.residuals[order])]
     focal = np.empty((rays.point.size, 2))
-    for j in np.unique(rays.image).tolist():
-        of_image = rays.image == j
+    for j, of_image in by_value(rays.image):
         focal[of_image], _ = solution.image(j).interior.focal_plane(rays.places[of_image, 1])
     residuals = solution.residuals[:, ::-1]
-    magnitude = np.hypot(residuals[:, 0], residuals[:, 1])
+    magnitude = np.hypot(*residuals.T)
     places = np.column_stack([focal / MM, rays.places[:, ::-1] + ISIS_OFFSET])
     numbers = np.column_stack([places, residuals, magnitude])[order].tolist()
     ids, names = [quoted(name) for name in network.points.ids], [quoted(image.name) for image in network.images]

@@ -33,10 +33,10 @@ from mgsgraph.files.support_data.isd_layout import (
 )
 from mgsgraph.files.writing import file_stem, write_files
 from mgsgraph.geometry import rotation
-from mgsgraph.geometry.body import geodetic
+from mgsgraph.geometry.body import ellipsoidal_heights
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, finite_rows
 from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
 from mgsgraph.units import ISIS_OFFSET, KM, MM
@@ -207,8 +207,7 @@ def _parameter_design(places: Array, times: Array, tables: RefinedTables, scales
     """
     motion = np.column_stack([np.interp(times, tables.position_times, axis) for axis in tables.velocities.T])
     radial = unit_vectors(places)
-    across = np.cross(places, motion)
-    across /= np.linalg.norm(across, axis=1)[:, None]
+    across = unit_vectors(np.cross(places, motion))
     axes = np.stack([np.cross(across, radial), across, radial], axis=2)
     since = (times - tables.position_times[0]) / scales["m_halfTime"]
     turned = (times - tables.attitude_times[0]) / scales["m_halfTime"]
@@ -264,7 +263,7 @@ def write_csm(
         has: which field is said.
     """
     originals = originals or {}
-    names = {image.name for image in solution.network.images}
+    names = set(solution.network.image_names)
     for name in sorted((originals.keys() | (files or {}).keys()) - names):
         raise InputError(f"file of {name}", "no image of the solution", f"one that was adjusted ({min(names)}, ...)")
     stems = file_stems(solution, files)
@@ -286,7 +285,7 @@ def write_csm(
 
 def file_stems(solution: Solution, files: Mapping[str, str] | None = None) -> list[str]:
     """A file name for each image, without its end: that of its file, or else its own name."""
-    names = [image.name for image in solution.network.images]
+    names = solution.network.image_names
     own = {name: Path(file).stem for name, file in (files or {}).items()}
     stems = [file_stem(own.get(name, name)).lstrip(".") or "_" for name in names]
     folded = [stem.casefold() for stem in stems]
@@ -299,10 +298,9 @@ def file_stems(solution: Solution, files: Mapping[str, str] | None = None) -> li
 
 def _provenance(solution: Solution) -> str:
     version = solution.versions.get("mgsgraph", "unknown")
-    state = "converged" if solution.converged else "NOT converged"
     return (
-        f"Adjusted by mgsgraph {version}, solution {solution.name!r}, {state}. Positions are geometric: no light time "
-        "and no stellar aberration. Time biases are applied: do not apply them again."
+        f"Adjusted by mgsgraph {version}, solution {solution.name!r}, {solution.ending}. Positions are geometric: no "
+        "light time and no stellar aberration. Time biases are applied: do not apply them again."
     )
 
 
@@ -323,10 +321,10 @@ def _heights(solution: Solution) -> dict[str, Any]:
     """Between which heights (m above the ellipsoid) the adjusted points lie, and a hundred metres more; ALE's words for
     a solution without any.
     """
-    places = solution.places[np.all(np.isfinite(solution.places), axis=1)]
+    places = solution.places[finite_rows(solution.places)]
     if places.size == 0:
         return {"maxheight": 1000, "minheight": -1000, "unit": "m"}
-    heights = geodetic(places, solution.network.images[0].body)[:, 2]
+    heights = ellipsoidal_heights(places, solution.network.body)
     least, largest = np.floor(heights.min() - _AROUND), np.ceil(heights.max() + _AROUND)
     return {"maxheight": float(largest), "minheight": float(least), "unit": "m"}
 
@@ -395,7 +393,8 @@ def _support_data(
     carried = {k: v for k, v in original.items() if k not in ("sun_position", "body_rotation", "instrument_pointing")}
     fields = support_fields(
         image, tables.epoch, _position_table(tables, body), _pointing_table(tables, body, original),
-        _body_table(tables.epoch, body, original), _no_sun(tables),
+        _rotation_table(tables.epoch + body.times, *body.at(body.times), original.get("body_rotation")),
+        _no_sun(tables),
     )  # fmt: skip
     return carried | fields | {
         "detector_sample_summing": summing,
@@ -420,10 +419,6 @@ def _pointing_table(tables: RefinedTables, body: AttitudeTable, original: Mappin
     to_body, body_rate = body.at(times)
     rate = tables.angular_rates + np.einsum("nij,nj->ni", to_camera, body_rate)
     return _rotation_table(tables.epoch + times, to_camera @ to_body, rate, original.get("instrument_pointing"))
-
-
-def _body_table(epoch: float, body: AttitudeTable, original: Mapping[str, Any]) -> RotationTable:
-    return _rotation_table(epoch + body.times, *body.at(body.times), original.get("body_rotation"))
 
 
 def _rotation_table(times: Array, matrices: Array, rates: Array, stated: Any) -> RotationTable:

@@ -57,7 +57,7 @@ from mgsgraph.files.writing import account, fresh_file, write_file, writing_to
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, all_pairs, finite_rows
 from mgsgraph.text import listed, many, some
 from mgsgraph.units import KM
 
@@ -129,7 +129,7 @@ def write_cubes(
         since its constants were adjusted, too; a file that can't be written.
     """
     paths, originals, biased, mapped, without = list[Path](), _New(), list[str](), list[str](), list[str]()
-    largest, names = 0.0, [image.name for image in solution.network.images]
+    largest, names = 0.0, solution.network.image_names
     for j, name in enumerate(names):
         cube = _cube(sources[name]) if name in sources else None
         if cube is None:
@@ -153,7 +153,7 @@ def write_cubes(
         originals += new
         largest = max(largest, _compared(place / path.name, picture, correction))
     if not paths:
-        found = f"no ISIS cube with tables of spiceinit of {some(names, len(names))}"
+        found = f"no ISIS cube with tables of spiceinit of {some(names)}"
         raise InputError("export to cubes", found, "one of any image", "name the case that has them (--case)")
     return paths, tuple(_notes(len(names), without, largest, biased, mapped)), originals
 
@@ -168,7 +168,7 @@ def _notes(count: int, without: list[str], largest: float, biased: list[str], ma
     read = many(count - len(without), "camera")
     yield f"Read back, 25 pixels of {read} fall within {largest:.1g} px of where the solution has them."
     if without:
-        left = f"{len(without)} of {many(count, 'image')}, {some(without, len(without))}"
+        left = f"{len(without)} of {many(count, 'image')}, {some(without)}"
         yield f"Left out, as the case names no ISIS cube with tables of spiceinit of them: {left}."
     if biased:
         yield f"{listed(biased)}: attitude times hold MOC's -1.15 s once, as before; ISIS adds none to tables."
@@ -405,8 +405,8 @@ def _compared(path: Path, image: PushbroomImage, correction: OrientationCorrecti
 
 def _distance(cube: PushbroomImage, image: PushbroomImage, correction: OrientationCorrection | None) -> float:
     """px, largest distance at 25 pixels of a cube's camera from another; NaN where that sees no ground."""
-    lines, samples = (axis.ravel() for axis in np.meshgrid(_PLACES * image.lines, _PLACES * image.samples))
+    lines, samples = all_pairs(_PLACES * image.lines, _PLACES * image.samples).T
     ground, _ = image.image_to_ground(lines, samples, 0.0, correction)
     seen, _ = cube.ground_to_image(ground)
-    off = np.linalg.norm(seen - np.column_stack([lines, samples]), axis=1)[np.isfinite(ground).all(axis=1)]
+    off = np.linalg.norm(seen - np.column_stack([lines, samples]), axis=1)[finite_rows(ground)]
     return float(off.max()) if off.size else np.nan

@@ -146,7 +146,7 @@ def read_networks(
             notes.append(f"Left out, having two places in one image, as the Ames Stereo Pipeline does: {dropped}")
         if setting.prefix is None and not setting.old_names():
             names = dict.fromkeys(name for match in matches for name in match.images)
-            notes.append(f"Images, by the names of the match files: {some(list(names), len(names))}")
+            notes.append(f"Images, by the names of the match files: {some(list(names))}")
     networks += [_read(path, form, setting) for path, form in forms if form not in _MATCHES]
     require_one_body(networks, setting)
     notes += _other_heads(networks)
@@ -184,8 +184,7 @@ def _listed(paths: Paths) -> list[Path]:
     require(listed, "convert", "nothing to read", "one file or more")
     resolved_paths = set[Path]()
     for path in listed:
-        if (place := resolved(path, "")) in resolved_paths:
-            raise InputError(str(path), "given twice", "each file once")
+        require((place := resolved(path, "")) not in resolved_paths, str(path), "given twice", "each file once")
         resolved_paths.add(place)
     return listed
 
@@ -230,8 +229,7 @@ def _renamed(network: ControlNetwork, names: Mapping[str, str]) -> ControlNetwor
         return network
     present = images_of(network)
     for old in names:
-        if old not in present:
-            raise InputError(network.source, f"no image {old!r} to rename", some(sorted(present), len(present)))
+        require(old in present, network.source, f"no image {old!r} to rename", some(sorted(present)))
     after = [names.get(name, name) for name in present]
     if len(set(after)) < len(after):
         twice = next(name for name in after if after.count(name) > 1)

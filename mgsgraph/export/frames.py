@@ -8,7 +8,7 @@ import shapely
 
 from mgsgraph.adjustment.solution import OrientationProfile, Solution, orientation_profiles
 from mgsgraph.analysis.statistics import solution_connectivity
-from mgsgraph.errors import InputError, library, require
+from mgsgraph.errors import library, require
 from mgsgraph.export.gis import Layer, ellipse_layers, footprint_layers
 from mgsgraph.files.output.table import Column, Table
 from mgsgraph.files.rasters.raster_file import geographic_crs, wkt2
@@ -104,15 +104,14 @@ def to_geopandas(solution: Solution, what: str = "points") -> "GeoDataFrame":
     """
     geopandas = library("geopandas", _EXTRA, f"table of {what}")
     frame = _table(solution, what, _PLACED).arrow.to_pandas()
-    crs = wkt2(geographic_crs(solution.network.images[0].body))
+    crs = wkt2(geographic_crs(solution.network.body))
     shapes = geopandas.GeoSeries.from_wkb(frame.pop(GEOMETRY), crs=crs)
     return geopandas.GeoDataFrame(frame, geometry=shapes)
 
 
 def _table(solution: Solution, what: str, tables: dict[str, Callable[[Solution], Table]]) -> Table:
     require(what in tables, "table of a solution", repr(what), f"one of {', '.join(tables)}")
-    if what == "passes" and not solution.network.passes:
-        raise InputError("table of passes", "a network without any")
+    require(what != "passes" or solution.network.passes, "table of passes", "a network without any")
     return tables[what](solution)
 
 
@@ -140,7 +139,7 @@ def to_xarray(solution: Solution, places: int = 31) -> "Dataset":
     ({'image': 2, 'place': 3, 'axis': 3, 'angle': 3, 'camera_axis': 3}, ['lines', 'times', 'position_before'])
     """
     xarray = library("xarray", _EXTRA, "orientation profiles")
-    profiles, images = orientation_profiles(solution, places=places), [image.name for image in solution.network.images]
+    profiles, images = orientation_profiles(solution, places=places), solution.network.image_names
     texts, variables, labels = meanings(OrientationProfile), dict[str, Any](), dict[str, Any]()
     for name in (field for field in texts if isinstance(getattr(profiles, field), np.ndarray)):
         values = getattr(profiles, name)
@@ -149,7 +148,7 @@ def to_xarray(solution: Solution, places: int = 31) -> "Dataset":
         labels |= {dimension: list(parts)} if dimension else {}
         attributes = {"long_name": texts[name], "units": _unit(texts[name])}
         variables[name] = dimensions, values.reshape(len(images), places, *values.shape[1:]), attributes
-    body = solution.network.images[0].body
+    body = solution.network.body
     about = {
         "title": f"Exterior orientation of {solution.name}", "frame": "body-fixed",
         "sigma0": solution.sigma0, "sigmas": "for sigma0 = 1",

@@ -26,9 +26,9 @@ from mgsgraph.files.output.folders import PROGRAM
 from mgsgraph.files.output.table import columns, picked
 from mgsgraph.files.rasters.raster_file import authority_code, geographic_crs, wkt2
 from mgsgraph.files.writing import fresh_file
-from mgsgraph.geometry.body import PROBABILITY, east_north_up, error_ellipses, geodetic
+from mgsgraph.geometry.body import PROBABILITY, east_north_up, ellipsoidal_heights, error_ellipses
 from mgsgraph.geometry.footprint import Footprint, Shapes, areas, map_lines, map_points, map_polygon, map_polygons
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.records import Array, Index, Mask, finite_rows
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import network_footprints
 from mgsgraph.results.answers import write_sigma_raster
@@ -91,7 +91,7 @@ def exaggeration(lengths: Array, extent: float) -> float:
 
 def extent(places: Array) -> float:
     """m, diameter of places (n, 3) about their mean; 0 where none is known."""
-    sound = places[np.isfinite(places).all(axis=1)]
+    sound = places[finite_rows(places)]
     return 2.0 * float(np.linalg.norm(sound - sound.mean(axis=0), axis=1).max()) if sound.size else 0.0
 
 
@@ -120,9 +120,9 @@ def _footprints(solution: Solution, footprints: tuple[Footprint, ...], name: str
     network, rays = solution.network, ray_statistics(solution)
     owners = ["", *(owner.name for owner in network.passes)]
     edges = np.array([image.span for image in network.images])
-    heights = [geodetic(footprint.outline, footprint.body)[:, 2] for footprint in footprints]
+    heights = [ellipsoidal_heights(footprint.outline, footprint.body) for footprint in footprints]
     fields = {
-        "image": [image.name for image in network.images],
+        "image": network.image_names,
         "pass": picked(owners, network.pass_of + 1),
         "held": network.held,
         "whole": np.array([footprint.whole for footprint in footprints]),
@@ -213,7 +213,7 @@ def ellipse_layers(solution: Solution) -> list[Layer]:
     """Error ellipses of the adjusted points towards east and north, true and exaggerated."""
     points = np.flatnonzero(adjusted_points(solution))
     places, frame = solution.places[points], east_north_up(solution.places[points])
-    covariances = frame @ solution.covariances[points] @ np.swapaxes(frame, 1, 2)
+    covariances = frame @ solution.covariances[points] @ frame.mT
     semi_axes, axes = error_ellipses(covariances[:, :2, :2])  # minor first
     factor = exaggeration(semi_axes[:, 1], extent(solution.places))
     azimuth = np.arctan2(axes[:, 0, 1], axes[:, 1, 1]) / DEG % 180.0
@@ -223,7 +223,7 @@ def ellipse_layers(solution: Solution) -> list[Layer]:
         "azimuth_deg": azimuth,
         "sigma_up_m": np.sqrt(np.maximum(covariances[:, 2, 2], 0.0)),
     }
-    offsets = _rings(np.swapaxes(frame[:, :2], 1, 2) @ (axes * semi_axes[:, None, :]))
+    offsets = _rings(frame[:, :2].mT @ (axes * semi_axes[:, None, :]))
     about = (
         f"Ellipses in which the true places lie with {PROBABILITY:.0%} probability, for sigma0 = 1 (scaled: times "
         "sigma0); azimuth of the major axis from north over east."
@@ -239,7 +239,7 @@ def _rings(semi_axes: Array) -> Array:
     turn = np.linspace(0.0, 2.0 * np.pi, _CORNERS + 1)
     circle = np.stack([np.cos(turn), np.sin(turn)])
     circle[:, -1] = circle[:, 0]
-    return np.asarray(np.swapaxes(semi_axes @ circle, 1, 2))
+    return np.asarray((semi_axes @ circle).mT)
 
 
 def _point_names(solution: Solution, points: Index) -> dict[str, Any]:
@@ -293,7 +293,7 @@ def _arrows(name: str, about: str, vectors: Vectors, size: float) -> list[Layer]
 def _corrections(solution: Solution) -> Vectors:
     """All adjusted points that had a place before."""
     step = solution.places - solution.places_before
-    points = np.flatnonzero(adjusted_points(solution) & np.isfinite(step).all(axis=1))
+    points = np.flatnonzero(adjusted_points(solution) & finite_rows(step))
     fields = {**_point_names(solution, points), "rejected": rejected_points(solution)[points]}
     return Vectors(solution.places_before[points], step[points], ~fields["rejected"], fields)
 
@@ -302,7 +302,7 @@ def _misregistration(solution: Solution) -> Vectors:
     """Laser points in every image that they fall into with the adjusted orientation."""
     parts = [_in_image(solution, j, footprint) for j, footprint in enumerate(_adjusted_footprints(solution))]
     points, starts, ends, before, after = (np.concatenate(column) for column in zip(*parts, strict=True))
-    images = [name for part, name in zip(parts, (image.name for image in solution.network.images), strict=True)
+    images = [name for part, name in zip(parts, solution.network.image_names, strict=True)
               for _ in range(part[0].size)]  # fmt: skip
     fields = {
         **_point_names(solution, points),
@@ -324,9 +324,9 @@ def _in_image(solution: Solution, j: int, footprint: Footprint) -> tuple[Index, 
     before, _ = nominal.ground_to_image(nominal_points)
     with np.errstate(invalid="ignore"):
         inside = np.all((after >= 0.0) & (after <= [nominal.lines, nominal.samples]), axis=1)
-    height = geodetic(points[inside], nominal.body)[:, 2]
+    height = ellipsoidal_heights(points[inside], nominal.body)
     starts, _ = nominal.image_to_ground(after[inside, 0], after[inside, 1], height)
-    finite = np.isfinite(starts).all(axis=1)
+    finite = finite_rows(starts)
     chosen = np.flatnonzero(inside)[finite]
     return near[chosen], starts[finite], points[chosen], before[chosen], after[chosen]
 
@@ -342,15 +342,15 @@ def _near(footprint: Footprint, places: Array, points: Index) -> Index:
 def _residuals(solution: Solution) -> Vectors:
     """Rays of determined points, rejected ones too."""
     rays, steps = solution.network.rays, np.full((solution.network.rays.point.size, 3), np.nan)
-    heights = geodetic(solution.places, solution.network.images[0].body)[:, 2]
+    heights = ellipsoidal_heights(solution.places, solution.network.body)
     for j in np.unique(rays.image).tolist():
-        of_image = np.flatnonzero((rays.image == j) & np.isfinite(solution.residuals).all(axis=1))
+        of_image = np.flatnonzero((rays.image == j) & finite_rows(solution.residuals))
         line, sample = (rays.places[of_image] - solution.residuals[of_image]).T
         _, rate = solution.image(j).image_to_ground(line, sample, heights[rays.point[of_image]], solution.correction(j))
         steps[of_image] = np.einsum("nij,nj->ni", rate, solution.residuals[of_image])
     starts = solution.places[rays.point]
-    finite = np.flatnonzero(np.isfinite(starts + steps).all(axis=1))
-    names = [image.name for image in solution.network.images]
+    finite = np.flatnonzero(finite_rows(starts + steps))
+    names = solution.network.image_names
     fields = {
         **_point_names(solution, rays.point[finite]),
         "image": picked(names, rays.image[finite]),
@@ -399,7 +399,7 @@ def write_gis(solution: Solution, folder: Path, grid: SigmaGrid | None = None) -
     InputError
         If a file can't be written, or pyogrio, of the extra ``[gis]``, is not installed.
     """
-    body = solution.network.images[0].body
+    body = solution.network.body
     layers = [
         *footprint_layers(solution), *point_layers(solution), *ellipse_layers(solution), *vector_layers(solution),
     ]  # fmt: skip
@@ -414,7 +414,7 @@ def write_gis(solution: Solution, folder: Path, grid: SigmaGrid | None = None) -
 
 
 def _write_layers(layers: list[Layer], statements: dict[str, str], path: Path, solution: Solution) -> None:
-    pyogrio, body = library("pyogrio", "gis", "GIS layers"), solution.network.images[0].body
+    pyogrio, body = library("pyogrio", "gis", "GIS layers"), solution.network.body
     crs = authority_code(body) or wkt2(geographic_crs(body))  # by its code, or a GeoPackage loses the authority
     about = Layer(ABOUT, "Where this came from, and what the layers mean.", "", np.zeros(0), {
         "subject": list(statements), "statement": list(statements.values()),
@@ -479,12 +479,11 @@ def _calendar(solution: Solution) -> tuple[str, str]:
 
 def _statements(solution: Solution, layers: list[Layer]) -> dict[str, str]:
     """Where the layers come from and what they mean, by subject."""
-    fit, body = solution.fit, solution.network.images[0].body
+    fit, body = solution.fit, solution.network.body
     first, last = _calendar(solution)
-    state = "converged" if solution.converged else "NOT converged"
     return {
         "program": f"{PROGRAM} ({', '.join(f'{name} {version}' for name, version in solution.versions.items())})",
-        "solution": f"{solution.name}: {state}; {solution.message}",
+        "solution": f"{solution.name}: {solution.ending}; {solution.message}",
         "fit": f"sigma0 {solution.sigma0:.6g}, {fit.degrees_of_freedom} degrees of freedom",
         "time of the images": f"{first} to {last} TDB; columns with et_s are seconds TDB past J2000",
         "coordinates": f"{authority_code(body) or geographic_crs(body)['name']}: degrees, latitudes planetocentric, "

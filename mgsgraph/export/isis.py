@@ -7,7 +7,6 @@ its cubes.
 """
 
 import math
-from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -34,6 +33,7 @@ from mgsgraph.files.output.folders import PROGRAM, WITHOUT_LASER
 from mgsgraph.files.writing import write_file
 from mgsgraph.geometry.body import target_name
 from mgsgraph.geometry.records import Array, Mask
+from mgsgraph.names import grouped
 from mgsgraph.network import PointClass
 from mgsgraph.units import ISIS_OFFSET, KM
 
@@ -87,7 +87,7 @@ def write_isis(
     InputError
         No point with a measure; what a format can't hold, which is named; a file that can't be written.
     """
-    images = frozenset(image.name for image in solution.network.images)
+    images = frozenset(solution.network.image_names)
 
     def complete(network: ControlNetwork) -> Restored:
         return Restored(network) if source is None else with_content(network, source, images)
@@ -137,7 +137,7 @@ def adjusted_network(
     indices = np.flatnonzero(chosen).tolist()
     require(indices, f"solution {solution.name!r}", "no point that is measured in an image", "some for a network")
     factor, rejected = covariance_factor(solution, scaled), rejected_points(solution).tolist()
-    measures, body = _measures(solution), network.images[0].body
+    measures, body = _measures(solution), network.body
     kinds, known = network.points.kinds.copy(), network.independent.points.covariances
     checks = network.points.checkpoints
     kinds[checks] = np.where(known[checks].any(axis=(1, 2)), int(PointKind.CONSTRAINED), int(PointKind.FIXED))
@@ -151,7 +151,8 @@ def adjusted_network(
         constrained, intersected = kind == PointKind.CONSTRAINED, stated[i] is None and first[i] is not None
         points.append(ControlPoint(
             id=network.points.ids[i], type=_TYPES[kind], measures=tuple(measures[i]), chooser_name=PROGRAM,
-            jigsaw_rejected=rejected[i], reference=_reference(measures[i]),
+            jigsaw_rejected=rejected[i],
+            reference=next((k for k, measure in enumerate(measures[i]) if not measure.jigsaw_rejected), 0),
             apriori_source=AprioriSource.AVERAGE_OF_MEASURES if intersected else AprioriSource.NONE,
             latitude_constrained=constrained, longitude_constrained=constrained, radius_constrained=constrained,
             apriori=stated[i] or first[i], apriori_covariance=prior[i],
@@ -166,7 +167,7 @@ def adjusted_network(
 
 def _measures(solution: Solution) -> list[list[ControlMeasure]]:
     """Of each point, in the order of the rays; back-projections are candidates, which were not measured."""
-    rays, images = solution.network.rays, [image.name for image in solution.network.images]
+    rays, images = solution.network.rays, solution.network.image_names
     measures = list[list[ControlMeasure]]([] for _ in solution.network.points.ids)
     guessed = rays.back_projected if rays.back_projected is not None else np.zeros(rays.point.size, dtype=np.bool_)
     numbers = (rays.places + ISIS_OFFSET, solution.residuals, solution.network.ray_sigmas)
@@ -183,11 +184,6 @@ def _measures(solution: Solution) -> list[list[ControlMeasure]]:
     return measures
 
 
-def _reference(measures: Sequence[ControlMeasure]) -> int:
-    """The first measure that was not rejected, or the first."""
-    return next((k for k, measure in enumerate(measures) if not measure.jigsaw_rejected), 0)
-
-
 def _places(places: Array) -> list[tuple[float, float, float] | None]:
     """Places (n, 3) in m; None where they are unknown."""
     return [(x, y, z) if math.isfinite(x + y + z) else None for x, y, z in places.tolist()]
@@ -201,11 +197,10 @@ def _triangles(covariances: Array, finite: Mask) -> list[tuple[float, ...]]:
 
 
 def _description(solution: Solution, scaled: bool) -> str:
-    state = "converged" if solution.converged else "NOT converged"
     version = solution.versions.get(PROGRAM, "of unknown version")
     size = f"sigma0 {solution.sigma0:.6g}"
-    covariances = f"times sigma0^2 ({size}), as jigsaw gives them" if scaled else f"for sigma0 = 1 ({size} not applied)"
-    return _one_line(f"{ADJUSTED_BY} {version}: {solution.name}, {state}. Adjusted covariances {covariances}.")
+    scale = f"times sigma0^2 ({size}), as jigsaw gives them" if scaled else f"for sigma0 = 1 ({size} not applied)"
+    return _one_line(f"{ADJUSTED_BY} {version}: {solution.name}, {solution.ending}. Adjusted covariances {scale}.")
 
 
 def _one_line(text: str) -> str:
@@ -259,9 +254,7 @@ def adjusted_lidar_text(solution: Solution, factor: float = 1.0) -> str:
 
 def _lidar_measures(solution: Solution) -> dict[int, list[LidarMeasure]]:
     """Measures that took part, by index of the point."""
-    measures = dict[int, list[LidarMeasure]]()
-    rays, names = solution.network.rays, [image.name for image in solution.network.images]
-    for k in np.flatnonzero(solution.rays_used).tolist():
-        line, sample = (rays.places[k] + ISIS_OFFSET).tolist()
-        measures.setdefault(int(rays.point[k]), []).append(LidarMeasure(line, sample, names[int(rays.image[k])]))
-    return measures
+    rays, names, used = solution.network.rays, solution.network.image_names, solution.rays_used
+    places = (rays.places[used] + ISIS_OFFSET).tolist()
+    measures = zip(rays.point[used].tolist(), places, rays.image[used].tolist(), strict=True)
+    return grouped((i, LidarMeasure(line, sample, names[j])) for i, (line, sample), j in measures)

@@ -71,8 +71,8 @@ def source_networks(folder: Path, stated: Sequence[Path], body: Ellipsoid) -> So
     if not networks:
         return Sources(None, tuple(notes) or (f"No network of the points is known, nor {_MISSING}; {_NAME_IT}",))
     points, _ = united(networks, Duplicates.FIRST)
-    return Sources(structs.replace(leading(networks), points=points, source=some([str(p) for p in paths], len(paths))),
-                   tuple(notes))  # fmt: skip
+    source = some([str(path) for path in paths])
+    return Sources(structs.replace(leading(networks), points=points, source=source), tuple(notes))
 
 
 def _remembered(folder: Path) -> list[tuple[Path, str]]:

@@ -119,7 +119,7 @@ def body_table(tables: RefinedTables, angular_rate: Turning) -> AttitudeTable:
     count, matrices = times.size - 1, angular_rate(times)[0]
     for stride in (k for k in range(count, 0, -1) if count % k == 0):
         first = matrices[:-1:stride]
-        turn = rotation.logarithm(matrices[stride::stride] @ np.swapaxes(first, 1, 2))
+        turn = rotation.logarithm(matrices[stride::stride] @ first.mT)
         between = rotation.exponential(turn[:, None] * (np.arange(stride) / stride)[:, None]) @ first[:, None]
         if np.abs(between.reshape(-1, 3, 3) - matrices[:-1]).max() * lever <= _BODY_TOLERANCE:
             break
@@ -164,10 +164,9 @@ def _interpolation_errors(
         true = pose_at(image, correction, between)
         for place in (_windows(nodes.position) @ weights, cubic.at(between)[0]):
             position = max(position, _largest(place - true.position))
-        lagrange = _windows(quaternions) @ weights
-        lagrange /= np.linalg.norm(lagrange, axis=1)[:, None]
+        lagrange = rotation.unit_vectors(_windows(quaternions) @ weights)
         for matrix in (rotation.to_matrix(lagrange), uniform.at(between)[0]):
-            attitude = max(attitude, _largest(rotation.logarithm(matrix @ np.swapaxes(true.matrix, 1, 2))))
+            attitude = max(attitude, _largest(rotation.logarithm(matrix @ true.matrix.mT)))
     return position, attitude
 
 

@@ -250,7 +250,7 @@ def _isis(solution: Solution, folder: Path, settings: ExportSettings, path: Path
 
     sources = Sources(None)
     if settings.networks or np.any(solution.network.points.classes == PointClass.TIE):
-        sources = source_networks(path, settings.networks, solution.network.images[0].body)
+        sources = source_networks(path, settings.networks, solution.network.body)
     output = write_isis(solution, folder, settings.scaled, source=sources.network)
     return _Written(output.paths, (*output.notes, *sources.notes))
 
@@ -288,7 +288,7 @@ def _cubes(solution: Solution, folder: Path, settings: ExportSettings, path: Pat
     case = settings.case or case_of(record.parent)
     if settings.case is None and not case.is_file():
         raise InputError(str(path), f"its case is no longer at {case}", "the case of its cubes", "name it with --case")
-    tables, names = decode(case), [image.name for image in solution.network.images]
+    tables, names = decode(case), solution.network.image_names
     images = [image for image in tables.images if image.cube or image.label]
     for k, entry in enumerate(tables.images if settings.update and not tables.mountings else ()):
         if entry.cube and entry.resection is None and entry.name in names:

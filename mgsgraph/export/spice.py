@@ -193,7 +193,7 @@ class _Export:
 
 
 def _exported(solution: Solution, naming: SpiceNaming, origin: str) -> _Export:
-    for name in naming.images.keys() - {image.name for image in solution.network.images}:
+    for name in naming.images.keys() - set(solution.network.image_names):
         raise InputError(f"NAIF ids of {name}", "no image of the solution", "one that was adjusted")
     body = _body(solution, naming)
     network, carriers = solution.network, _carriers(solution, naming, reprojection(solution))
@@ -208,7 +208,7 @@ def _exported(solution: Solution, naming: SpiceNaming, origin: str) -> _Export:
 
 
 def _body(solution: Solution, naming: SpiceNaming) -> Body:
-    ellipsoid = solution.network.images[0].body
+    ellipsoid = solution.network.body
     name = naming.body or target_name(ellipsoid)
     try:
         code = int(spiceypy.bodn2c(name))
@@ -236,11 +236,10 @@ def _carriers(solution: Solution, naming: SpiceNaming, measured: Reprojection) -
 def _comments(solution: Solution, body: Body, paths: Paths, nodes: Sequence[AdjustedNodes], origin: str) -> list[str]:
     """Origin of the files, and facts about all of them; printable ASCII."""
     versions = ", ".join(f"{name} {version}" for name, version in solution.versions.items())
-    state = "converged" if solution.converged else "NOT converged"
     lines = [
         f"Orientation adjusted by {PROGRAM} ({versions}).",
         *([origin] if origin else []),
-        f"Solution {solution.name!r}: {state}, sigma0 {solution.sigma0:.6g}, "
+        f"Solution {solution.name!r}: {solution.ending}, sigma0 {solution.sigma0:.6g}, "
         f"{solution.fit.degrees_of_freedom} degrees of freedom.",
         f"Frame {body.frame}: body-fixed, as adjusted. Positions are geometric (no light time, no aberration).",
         "Time biases of the mission's kernels are in positions and attitudes already and must NOT be added again.",

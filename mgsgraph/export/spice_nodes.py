@@ -22,7 +22,7 @@ from mgsgraph.export.spice_texts import Carrier
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, finite_rows
 from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.geometry.trajectory import AttitudeTable, PositionTable, Trajectory
 
@@ -160,7 +160,7 @@ def _pixel(image: PushbroomImage, correction: OrientationCorrection) -> tuple[fl
     samples = np.full(_PLACES, 0.5 * image.samples)
     ground, by_place = image.image_to_ground(lines, samples, 0.0, correction)
     origins, directions = image.sightlines(lines, samples, correction)
-    on_ground = np.isfinite(ground).all(axis=1)
+    on_ground = finite_rows(ground)
     if not on_ground.any():  # an image of the sky
         distance = float(np.linalg.norm(origins, axis=1).max())
         return distance * image.pixel_angle, distance
@@ -180,7 +180,7 @@ def _errors(
     _, between, true, _, turned, _ = _nodes(image, correction, between, body)
     place, _ = PositionTable(times, positions, velocities).at(between)
     matrix, _ = AttitudeTable(times, rotation.from_matrix(matrices), np.eye(3)).at(between)
-    angle = np.linalg.norm(rotation.logarithm(turned @ np.swapaxes(matrix, 1, 2)), axis=1)
+    angle = np.linalg.norm(rotation.logarithm(turned @ matrix.mT), axis=1)
     off = np.linalg.norm(place - true, axis=1) + distance * angle
     largest = np.zeros(times.size - 1)
     np.maximum.at(largest, np.clip(np.searchsorted(times, between, side="right") - 1, 0, times.size - 2), off)
@@ -346,7 +346,7 @@ def reprojection(solution: Solution) -> Reprojection:
         rows = np.flatnonzero((rays.image == j) & solution.determined[rays.point])
         computed, _ = solution.image(j).ground_to_image(points[rows], solution.correction(j), rays.places[rows, 0])
         places[rows], times[rows] = computed, image.timing.at(computed[:, 0])[0] + image.trajectory.epoch
-    finite = np.flatnonzero(np.isfinite(places).all(axis=1) & np.isfinite(points).all(axis=1))
+    finite = np.flatnonzero(finite_rows(places) & finite_rows(points))
     names = [images[j].name for j in rays.image[finite].tolist()]
     return Reprojection(tuple(names), points[finite], places[finite], times[finite])
 

@@ -201,7 +201,7 @@ def require_verdicts_of(ties: TiePoints, verdicts: Verdicts) -> None:
     remedy = "give the network that was reviewed"
     unknown = sorted(set(verdicts.of) - set(ties.ids))
     if unknown:
-        found = f"verdicts about {some([repr(name) for name in unknown], len(unknown))}"
+        found = f"verdicts about {some([repr(name) for name in unknown])}"
         raise InputError(verdicts.source, found, f"points of {ties.source}", remedy)
     if verdicts.network and verdicts.network != (digest := network_digest(ties)):
         found = f"verdicts about network {verdicts.network}"

@@ -289,8 +289,7 @@ def header_of(fields: Sequence[str], where: str) -> tuple[str, ...]:
             raise _unknown(name, names, where)
         require(names.count(name) <= 1, where, f"the column {name!r} twice", "each once")
     for name in ("id", "image"):
-        if name not in names:
-            raise InputError(where, f"no column {name!r}", "id, image, and isis_line, isis_sample or line, sample")
+        require(name in names, where, f"no column {name!r}", "id, image, and isis_line, isis_sample or line, sample")
     if len(whole(names, (ISIS, OURS), where)) != 2:
         raise InputError(where, "no columns of places", "isis_line and isis_sample, or line and sample", _COUNTS)
     place, uncertainty = whole(names, PLACES, where), whole(names, UNCERTAINTIES, where)
@@ -365,7 +364,7 @@ def upper_triangles(columns: Sequence[str], values: Array, directions: Array) ->
     Its columns say `values` (m, 3) in m; `directions` (m, 3) point upward, along the radius or the normal.
     """
     axes = np.eye(3)[None] if tuple(columns) == AXES else east_north_up(directions)
-    full = (np.swapaxes(axes, 1, 2) * values[:, None, :] ** 2) @ axes
+    full = (axes.mT * values[:, None, :] ** 2) @ axes
     return np.asarray(full[:, *np.triu_indices(3)])
 
 

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.opening import finite_number, head_of
 from mgsgraph.units import KM
 
@@ -433,8 +433,7 @@ def instrument_of(path: Path) -> str:
 def data_location(path: Path, root: Block) -> tuple[Path, int]:
     """File and offset in bytes of ``^IMAGE``: a record or <BYTES>, in this file or in the one it names."""
     record = root.count("RECORD_BYTES")
-    if "^IMAGE" not in root:
-        raise InputError(root.where(), "no ^IMAGE", "^IMAGE = record, or (file, record)")
+    require("^IMAGE" in root, root.where(), "no ^IMAGE", "^IMAGE = record, or (file, record)")
     entry = root.entries["^image"]
     items = [entry.value] if isinstance(entry.value, str) else list(entry.value)
     place = items.pop() if items and items[-1].isdecimal() else "1"

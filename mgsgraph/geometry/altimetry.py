@@ -20,6 +20,7 @@ from mgsgraph.geometry.records import (
     frozen,
     frozen_index,
     frozen_mask,
+    no_rows,
     of_kind,
     read_only,
     require_covariances,
@@ -393,8 +394,9 @@ class AltimeterShots(Record):
         n = self.times.size
         ids = self.ids
         broad = pulse_share * _HALF_LIGHT * np.nan_to_num(self.pulses)
-        beams = np.where(np.isfinite(self.spacecraft), self.footprints - self.spacecraft, -self.footprints)
-        beams /= np.linalg.norm(beams, axis=1, keepdims=True)
+        beams = unit_vectors(
+            np.where(np.isfinite(self.spacecraft), self.footprints - self.spacecraft, -self.footprints)
+        )
         covariances = footprint_covariances(self.footprints, ground_sigma, height_sigma or ground_sigma)
         sigmas, covariances, shares = with_common_errors(range_sigma, covariances, broad[:, None] * beams)
         return LaserProfile(
@@ -407,7 +409,7 @@ class AltimeterShots(Record):
             covariances=covariances,
             simultaneous_shot=np.arange(n if simultaneous else 0),
             simultaneous_image=RepeatedNames((simultaneous or "",), np.zeros(n if simultaneous else 0, dtype=np.int64)),
-            measure_shot=np.zeros(0, dtype=np.int64),
+            measure_shot=no_rows(),
             measure_image=RepeatedNames.of(()),
             measures=np.zeros((0, 2)),
             shares=shares if np.any(broad) else None,
@@ -449,7 +451,7 @@ class AltimetryCloud(Record):
     Examples
     --------
     >>> _ = Path("cloud.csv").write_text("x_m,y_m,z_m,id,profile\n171000.0,3382000.0,248000.0,1,9000\n")
-    >>> cloud = mgsgraph.read_altimetry_cloud(Path("cloud.csv"), network.images[0].body)
+    >>> cloud = mgsgraph.read_altimetry_cloud(Path("cloud.csv"), network.body)
     >>> cloud.profiles, cloud.points.shape
     (('9000',), (1, 3))
     """

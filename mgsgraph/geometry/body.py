@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mgsgraph.errors import InputError, require
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, finite_rows
 from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.record import Record
 from mgsgraph.units import KM
@@ -207,6 +207,11 @@ def geodetic(points: Array, ellipsoid: Ellipsoid) -> Array:
     return np.stack([np.arctan2(y, x), latitude, height], axis=-1)
 
 
+def ellipsoidal_heights(points: Array, ellipsoid: Ellipsoid) -> Array:
+    """(n,) m, heights of points (n, 3) above the ellipsoid."""
+    return np.asarray(geodetic(points, ellipsoid)[:, 2])
+
+
 def from_geodetic(places: Array, ellipsoid: Ellipsoid) -> Array:
     """Body-fixed points (..., 3) in m of longitude, geodetic latitude (rad) and height (m) (..., 3)."""
     longitude, latitude, height = np.moveaxis(places, -1, 0)
@@ -257,7 +262,7 @@ def intersect_ellipsoid(
 
 def centre_of(points: Array) -> Array:
     """Middle (3,) in m of points (n, 3): the mean of their directions, at their mean distance from the origin."""
-    sound = points[np.all(np.isfinite(points), axis=1)]
+    sound = points[finite_rows(points)]
     radii = np.linalg.norm(sound, axis=1)
     mean = np.mean(sound / radii[:, None], axis=0)
     return np.asarray(mean / np.linalg.norm(mean) * radii.mean())

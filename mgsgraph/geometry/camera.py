@@ -299,7 +299,7 @@ def _along_y(place: Array, y: Array, slope: Array) -> Undistorted:
 
 def _polar(place: Array) -> tuple[Array, Array]:
     """Radii (n,) of places (n, 2), and unit vectors (n, 2) outward; zero in the centre."""
-    radius = np.hypot(place[:, 0], place[:, 1])
+    radius = np.hypot(*place.T)
     return radius, place / np.where(radius > 0.0, radius, 1.0)[:, None]
 
 

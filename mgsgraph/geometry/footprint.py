@@ -23,7 +23,7 @@ from mgsgraph.errors import InputError, require
 from mgsgraph.geometry.body import Ellipsoid, planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen
+from mgsgraph.geometry.records import Array, Index, Mask, assign, finite_rows, frozen, no_rows
 from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.units import DEG
 
@@ -46,7 +46,7 @@ def map_degrees(points: Array) -> Array:
 
 def map_points(points: Array) -> Shapes:
     """Points (n) of places (n, 3) in m; None where these are NaN."""
-    shapes, finite = _nothing(points.shape[0]), np.isfinite(points).all(axis=1)
+    shapes, finite = _nothing(points.shape[0]), finite_rows(points)
     shapes[finite] = shapely.points(map_degrees(points[finite]))
     return shapes
 
@@ -271,7 +271,7 @@ def footprint(
     lines = np.concatenate([down, np.ones(across), 1.0 - down, np.zeros(across)]) * image.lines
     samples = np.concatenate([np.zeros(along), side, np.ones(along), 1.0 - side]) * image.samples
     places, _ = image.image_to_ground(lines, samples, height, correction)
-    visible = np.all(np.isfinite(places), axis=1)
+    visible = finite_rows(places)
     usable = int(np.count_nonzero(visible)) >= 3 and not _goes_round(places[:along][visible[:along]])
     ring = places[visible] if usable else np.zeros((0, 3))
     return Footprint(image.name, np.concatenate([ring, ring[:1]]), image.body, bool(np.all(visible)) and usable)
@@ -326,7 +326,7 @@ def gaps(footprints: Sequence[Footprint], pairs: Index) -> Array:
     Measured in the equal-area plane around the pair's middle: true to a few per cent for gaps below 0.5 rad.
     """
     distances = np.full(len(pairs), np.nan)
-    sound = np.flatnonzero(_nonempty(footprints)[pairs].all(axis=1)) if len(pairs) else np.zeros(0, dtype=np.int64)
+    sound = np.flatnonzero(_nonempty(footprints)[pairs].all(axis=1)) if len(pairs) else no_rows()
     if sound.size:
         outlines, radius = _directions(footprints)
         distances[sound] = shapely.distance(*_polygon_pairs(outlines, pairs[sound], radius))
@@ -383,15 +383,13 @@ def _authalic(points: Array, body: Ellipsoid) -> tuple[Array, float]:
 
 def _middles(outlines: Array) -> Array:
     """Mean directions (m, 3) of outlines (m, k, 3)."""
-    middles = outlines.mean(axis=1)
-    return unit_vectors(middles)
+    return unit_vectors(outlines.mean(axis=1))
 
 
 def _tangents(centres: Array) -> tuple[Array, Array]:
     """Two unit vectors (m, 3) each, square to unit vectors (m, 3) and to each other."""
     axis = np.eye(3)[np.argmin(np.abs(centres), axis=1)]
-    first = np.cross(axis, centres)
-    first /= np.linalg.norm(first, axis=1)[:, None]
+    first = unit_vectors(np.cross(axis, centres))
     return first, np.cross(centres, first)
 
 
@@ -413,8 +411,7 @@ def _polygon_pairs(outlines: Array, pairs: Index, radius: float) -> tuple[NDArra
     middles = _middles(outlines)
     between = middles[pairs].sum(axis=1)
     length = np.linalg.norm(between, axis=1)
-    between = np.where(length[:, None] > 1e-6, between, middles[pairs[:, 0]])  # antipodes have no middle
-    between /= np.linalg.norm(between, axis=1)[:, None]
+    between = unit_vectors(np.where(length[:, None] > 1e-6, between, middles[pairs[:, 0]]))  # antipodes have no middle
     return _polygons(outlines[pairs[:, 0]], between, radius), _polygons(outlines[pairs[:, 1]], between, radius)
 
 
@@ -448,7 +445,7 @@ def _boxes_meet(outlines: Array, centres: Array, pairs: Index) -> Mask:
     first, second = _tangents(centres)
     flat = np.stack([np.einsum("mki,mi->mk", outlines, axis) for axis in (first, second)], axis=-1)
     spread = flat - flat.mean(axis=1, keepdims=True)
-    _, turned = np.linalg.eigh(np.swapaxes(spread, 1, 2) @ spread)
+    _, turned = np.linalg.eigh(spread.mT @ spread)
     axes = np.stack([first, second], axis=2) @ turned  # (m, 3, 2)
     own = outlines @ axes
     low, high = own.min(axis=1), own.max(axis=1)

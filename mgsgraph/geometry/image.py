@@ -218,7 +218,7 @@ class PushbroomImage(Record):
         d_origins = np.stack([pose.velocity, np.zeros_like(pose.velocity)], axis=2)
         along_detector = np.column_stack([slope, np.zeros(samples.size)])
         turned = np.stack([np.cross(pose.angular_rate, look), along_detector], axis=2)
-        return pose.position, direction, d_origins, np.swapaxes(pose.matrix, 1, 2) @ turned
+        return pose.position, direction, d_origins, pose.matrix.mT @ turned
 
     def sightlines(
         self, lines: Array, samples: Array, correction: OrientationCorrection | None = None

@@ -20,7 +20,7 @@ import numpy as np
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.camera import InteriorOrientation
 from mgsgraph.geometry.compiled_search import newton_steps, scan_grid
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.records import Array, Index, Mask, finite_rows
 from mgsgraph.geometry.trajectory import Pose
 
 EDGE = np.array([0.5, 2.0])
@@ -152,7 +152,7 @@ def _bend(scan: Scan) -> _Bend:
 def _brackets(scan: Scan, points: Array) -> _Brackets:
     """Pieces of the grid between which points (n, 3) are seen, or may be."""
     lines, pose = _grid(scan)
-    bend, finite = _bend(scan), points[np.isfinite(points).all(axis=1)]
+    bend, finite = _bend(scan), points[finite_rows(points)]
     origin = finite.mean(axis=0) if len(finite) else np.zeros(3)
     planes = _planes(bend.axes, np.diff(lines, append=lines[-1]), pose, pose.position - origin)
     blocks, room = _blocks(lines, planes, bend.width), 2 * len(points) + 16

@@ -137,10 +137,6 @@ class OrientationImages(Record):
             low, high = (low - 1, high) if low > 0 else (low, high + 1)
         return replace(self, times=times[low : high + 1], span=self.trend_span)
 
-    def with_nodes_at(self, times: Array) -> "OrientationImages":
-        """The same with other nodes."""
-        return replace(self, times=times)
-
 
 def _lagrange(times: Array, nodes: Array) -> tuple[Array, Array]:
     """Lagrange's polynomials through nodes (n, 4) at times (n,), and their derivatives."""
@@ -369,7 +365,7 @@ def correction_axes(nominal: Pose, correction: Array, angles: Angles) -> Array:
 def _nominal_angles(nominal: Pose, angles: Angles) -> tuple[Callable[..., Any], tuple[Array, ...], tuple[Array, ...]]:
     """The equation of `factors.pose` that adds to angles, and nominal angles and rates as it takes them."""
     paper = angles == "opk-paper"
-    nominal_angles = rotation.omega_phi_kappa(nominal.matrix if paper else np.swapaxes(nominal.matrix, 1, 2))
+    nominal_angles = rotation.omega_phi_kappa(nominal.matrix if paper else nominal.matrix.mT)
     rates = np.linalg.solve(rotation.angle_axes(nominal_angles, paper), nominal.angular_rate[:, :, None])[:, :, 0]
     return opk_paper if paper else opk_peer, rotation.components(nominal_angles), tuple(rates.T)
 

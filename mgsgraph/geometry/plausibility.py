@@ -12,7 +12,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import Ellipsoid, distances, nearness, require_possible, surface_radii
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, all_pairs, finite_rows
 from mgsgraph.geometry.trajectory import PositionTable, Trajectory
 from mgsgraph.units import KM
 
@@ -79,7 +79,7 @@ def require_on_ground(points: Array, angles: Array, body: Ellipsoid, where: str,
     where, remedy : str
         What has them, and what to do.
     """
-    met = (angles > _CONVERGENT) & np.isfinite(points).all(axis=1)
+    met = (angles > _CONVERGENT) & finite_rows(points)
     if np.count_nonzero(met) < _FEW or body.polar < _FLATTEST * body.equatorial:  # a plane, to which no radius belongs
         return
     measured, ground, near = distances(points[met]), surface_radii(points[met], body), nearness(body)
@@ -151,7 +151,7 @@ def turning(times: Array, quaternions: Array, rates: Array) -> tuple[Array, Arra
     if not paired or np.any(np.diff(times) <= 0.0) or not are_unit(quaternions):
         return np.zeros((0, 3)), np.zeros((0, 3))
     matrices = rotation.to_matrix(rotation.unit_vectors(quaternions))
-    turned = rotation.logarithm(np.swapaxes(matrices[1:], 1, 2) @ matrices[:-1]) / np.diff(times)[:, None]
+    turned = rotation.logarithm(matrices[1:].mT @ matrices[:-1]) / np.diff(times)[:, None]
     return turned, 0.5 * (rates[1:] + rates[:-1])
 
 
@@ -239,9 +239,7 @@ def _same(first: PushbroomImage, second: PushbroomImage) -> bool:
     stops = [image.trajectory.epoch + image.timing.at(end)[0][0] for image in (first, second)]
     if abs(stops[0] - stops[1]) > _LINES * first.timing.periods.max():
         return False
-    lines, samples = (axis.ravel() for axis in np.meshgrid(
-        np.linspace(0.0, first.lines, 3), np.linspace(0.0, first.samples, 3)
-    ))  # fmt: skip
+    lines, samples = all_pairs(np.linspace(0.0, first.lines, 3), np.linspace(0.0, first.samples, 3)).T
     ground, slopes = first.image_to_ground(lines, samples)
     distances = np.linalg.norm(second.image_to_ground(lines, samples)[0] - ground, axis=1)
     pixel = np.linalg.norm(slopes, axis=1).max(axis=1)

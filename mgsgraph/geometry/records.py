@@ -1,6 +1,6 @@
 """Construction of records: their arrays are copied to read-only float64 and checked once."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
@@ -51,6 +51,37 @@ def repeated(value: ArrayLike, shape: tuple[int, ...]) -> Array:
 def repeats(values: NDArray[Any]) -> bool:
     """Whether an array holds one value again and again, in the memory of one (`repeated`)."""
     return values.size > 1 and not any(values.strides)
+
+
+def finite_rows(values: NDArray[Any]) -> Mask:
+    """(n,) whether all numbers of a row of (n, k) are finite."""
+    return np.asarray(np.all(np.isfinite(values), axis=1))
+
+
+def sigmas_of(covariances: NDArray[Any]) -> Array:
+    """(..., k) standard deviations, of covariances (..., k, k)."""
+    return np.asarray(np.sqrt(np.diagonal(covariances, axis1=-2, axis2=-1)))
+
+
+def by_value(values: Index) -> Iterator[tuple[int, Index]]:
+    """Each number that occurs, from the least on, and where it does."""
+    for value in np.unique(values).tolist():
+        yield value, np.flatnonzero(values == value)
+
+
+def no_rows() -> Index:
+    """The indices of nothing."""
+    return np.zeros(0, dtype=np.int64)
+
+
+def joined_rows(parts: Iterable[Index]) -> Index:
+    """Indices one after another, also of no parts at all."""
+    return np.concatenate([no_rows(), *parts])
+
+
+def all_pairs(x: ArrayLike, y: ArrayLike) -> NDArray[Any]:
+    """(n, 2) each number of x (m,) for the first of y (k,), then for the second, and so on."""
+    return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
 
 
 def thinned(size: int, most: int | None) -> Index:
@@ -167,7 +198,7 @@ def require_covariances(covariances: Array, needed: Mask, ids: Sequence[str], so
         return
     matrices = covariances[chosen]
     scale = np.abs(matrices).max(axis=(1, 2), initial=0.0)
-    lopsided = np.abs(matrices - np.swapaxes(matrices, 1, 2)).max(axis=(1, 2), initial=0.0) > 1e-9 * scale
+    lopsided = np.abs(matrices - matrices.mT).max(axis=(1, 2), initial=0.0) > 1e-9 * scale
     flat = np.linalg.eigvalsh(matrices)[:, 0] <= 1e-14 * scale
     for k in np.flatnonzero(lopsided | flat)[:1]:
         raise InputError(

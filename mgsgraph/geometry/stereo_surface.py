@@ -29,6 +29,7 @@ from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Mask, assign, frozen
+from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.record import Record
 
 _NODES_PER_WIDTH = 2.0
@@ -353,8 +354,7 @@ def _heights_above(
     if level is not None:
         slopes[level] = _level_slopes(points[level], by_point[level], other_by_point[level])
     towards = -first.sightlines(usable[:, 0], usable[:, 1], corrections[0])[1]
-    epipolar = np.einsum("nij,nj->ni", other_by_point, towards)
-    epipolar /= np.linalg.norm(epipolar, axis=1, keepdims=True)
+    epipolar = unit_vectors(np.einsum("nij,nj->ni", other_by_point, towards))
     back = -np.einsum("ni,nij->nj", epipolar, slopes)
     gradient = np.einsum("ni,nij->nj", epipolar, other_by_point) + np.einsum("ni,nij->nj", back, by_point)
     size = np.linalg.norm(gradient, axis=1, keepdims=True)
@@ -377,8 +377,8 @@ def _heights_above(
 
 def _level_slopes(points: Array, by_point: Array, other_by_point: Array) -> Array:
     """(n, 2, 2) derivative of the disparity by the position in the first image, of level ground at points (n, 3)."""
-    ways = np.swapaxes(east_north(points), 1, 2)
-    first, second = (np.swapaxes(part @ ways, 1, 2) for part in (by_point, other_by_point))
+    ways = east_north(points).mT
+    first, second = ((part @ ways).mT for part in (by_point, other_by_point))
     return np.swapaxes(np.linalg.solve(first, second), 1, 2)
 
 

@@ -19,7 +19,7 @@ from mgsgraph.errors import InputError, require
 from mgsgraph.factors.surface import bilinear, cubic, height_above, post_coordinates
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import from_planetocentric, in_turn, planetocentric
-from mgsgraph.geometry.records import Array, Index, Mask, assign, read_only
+from mgsgraph.geometry.records import Array, Index, Mask, assign, finite_rows, read_only
 from mgsgraph.record import Record
 
 
@@ -151,7 +151,7 @@ def window(
 
     None in place of both where the raster has less than two rows or columns there.
     """
-    row, column = at[np.all(np.isfinite(at), axis=1)].T
+    row, column = at[finite_rows(at)].T
     if not row.size:
         return None
     rows, columns = shape

@@ -19,7 +19,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError, require
 from mgsgraph.geometry.records import Array, Mask
@@ -179,7 +178,7 @@ def _tracks(shots: Mask, east: Array, south: float) -> Iterator[tuple[Array, Arr
         yield _next(shots, way), _next(shots[::-1, ::-1], way)[::-1, ::-1], step
 
 
-def _next(shots: Mask, way: tuple[int, int]) -> NDArray[np.float64]:
+def _next(shots: Mask, way: tuple[int, int]) -> Array:
     """(rows, columns) posts back along a way, 0 or 1 rows and -1 to 1 columns a step, to one with shots."""
     rows, along = (shots, way[1]) if way[0] else (shots.T, 0)
     steps = np.where(rows, 0.0, np.inf)

@@ -295,7 +295,7 @@ def circular_flight(
     turns = rotation.exponential(-times[:, None] * spin) @ rotation.exponential(times[:, None] * normal)
     positions = turns @ place
     table = PositionTable(times, positions, turns @ velocity - np.cross(spin, positions))
-    matrices = attitude @ flight_frame(place, velocity) @ np.swapaxes(turns, 1, 2)
+    matrices = attitude @ flight_frame(place, velocity) @ turns.mT
     camera = AttitudeTable(times, rotation.continuous(rotation.from_matrix(matrices)), np.eye(3))
     return FixedTrajectory(epoch, table, camera)
 

@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.tie_points import TiePoints
-from mgsgraph.geometry.body import east_north, geodetic
+from mgsgraph.geometry.body import east_north, ellipsoidal_heights
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.intersection import intersect_rays
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.records import Array, Index, Mask, by_value
 from mgsgraph.matching.scene import Pixels
+from mgsgraph.names import grouped
 from mgsgraph.network.observations import require_inside
 from mgsgraph.workers import Count, no_progress
 
@@ -99,15 +100,14 @@ def chip_frames(images: Sequence[PushbroomImage], ties: TiePoints) -> ChipFrames
     n, point = len(ties.ids), ties.measure_point
     image = _images_of(images, ties)
     origins, directions = np.empty((2, point.size, 3))
-    for j in np.unique(image):
-        of_image = image == j
+    for j, of_image in by_value(image):
         origins[of_image], directions[of_image] = images[j].sightlines(*ties.measures[of_image].T)
     positions, skew, _ = intersect_rays(origins, directions, point, n)
     heights = _heights(images, positions)
     to_ground = np.empty((point.size, 2, 2))
-    for j in np.unique(image):
-        of_image = np.flatnonzero(image == j)
-        ground, by_pixel = images[j].image_to_ground(*ties.measures[of_image].T, heights[point[of_image]])
+    for j, of_image in by_value(image):
+        lines, samples = ties.measures[of_image].T
+        ground, by_pixel = images[j].image_to_ground(lines, samples, heights[point[of_image]])
         to_ground[of_image] = east_north(ground) @ by_pixel
     size = np.sqrt(np.abs(np.linalg.det(to_ground)))
     spacing = np.full(n, -np.inf)
@@ -133,7 +133,7 @@ def _heights(images: Sequence[PushbroomImage], positions: Array) -> Array:
     body = images[0].body
     finite = np.isfinite(positions[:, 0])
     heights = np.zeros(positions.shape[0])
-    heights[finite] = geodetic(positions[finite], body)[:, 2]
+    heights[finite] = ellipsoidal_heights(positions[finite], body)
     return np.where(np.abs(heights) < _HIGHEST * body.equatorial, heights, 0.0)
 
 
@@ -177,9 +177,7 @@ def _of_same_images(frames: ChipFrames, ties: TiePoints) -> list[Index]:
     """Points (m,) that were measured in the same images, for each set of these."""
     order = np.lexsort((frames.image, ties.measure_point))
     sets = np.split(frames.image[order], np.cumsum(frames.count)[:-1])
-    groups: dict[bytes, list[int]] = {}
-    for i, images in enumerate(sets):
-        groups.setdefault(images.tobytes(), []).append(i)
+    groups = grouped((images.tobytes(), i) for i, images in enumerate(sets))
     return [np.array(members, dtype=np.int64) for members in groups.values()]
 
 

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.errors import InputError, require
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.records import Array, Index, Mask, all_pairs
 from mgsgraph.geometry.terrain import between_nodes
 from mgsgraph.matching.coarse import robust_sigma
 from mgsgraph.matching.equations import SplinePicture
@@ -110,7 +110,7 @@ def matches_on(
         return 0, no_matches()
     shift = disparities(first, second, reach)
     rows, columns = tile.nodes(spacing)
-    plane = tile.plane(*(axis.ravel().astype(np.float64) for axis in np.meshgrid(columns, rows)))
+    plane = tile.plane(*all_pairs(columns, rows).astype(np.float64).T)
     row, column = (axis.ravel() for axis in np.meshgrid(np.arange(rows.size), np.arange(columns.size), indexing="ij"))
     both = (first.valid > 0) & (second.valid > 0)
     owned = tile.owns(plane) & both[rows[row], columns[column]]

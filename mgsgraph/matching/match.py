@@ -14,7 +14,7 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.tie_points import PointKind, TiePoints
-from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen, place_of
+from mgsgraph.geometry.records import Array, Index, Mask, all_pairs, assign, frozen, no_rows, place_of, sigmas_of
 from mgsgraph.matching.checks import cell_numbers, checked_measures, pair_signs, spread
 from mgsgraph.matching.coarse import Agreement, Aligned, aligned_pictures, window
 from mgsgraph.matching.least_squares import MatchStatus
@@ -31,7 +31,7 @@ from mgsgraph.matching.patches import (
 )
 from mgsgraph.matching.scene import Pair, Scene, boxes, joined, pairs_of, require_unblocked
 from mgsgraph.matching.settings import MatchSettings
-from mgsgraph.names import Names, RepeatedNames
+from mgsgraph.names import Names, RepeatedNames, grouped
 from mgsgraph.record import Record
 from mgsgraph.text import listed
 from mgsgraph.workers import Progress, no_progress
@@ -129,7 +129,7 @@ def matches_of(
     tracks, begin, inverse = np.unique(measures.track, return_index=True, return_inverse=True)
     rank = place_of(order, tracks.size)
     back = np.linalg.inv(measures.affine)
-    shared = 0.5 * back @ measures.covariances @ np.swapaxes(back, 1, 2)
+    shared = 0.5 * back @ measures.covariances @ back.mT
     count = np.bincount(inverse, minlength=tracks.size)
     of_anchor = np.zeros((tracks.size, 2, 2))
     np.add.at(of_anchor, inverse, shared)
@@ -151,7 +151,7 @@ def matches_of(
         measure_point=point[rows],
         measure_image=RepeatedNames(tuple(names), picture[rows]),
         measures=pixels[rows],
-        measure_sigmas=np.sqrt(np.diagonal(variances, axis1=1, axis2=2))[rows],
+        measure_sigmas=sigmas_of(variances)[rows],
     )
     covariances = np.concatenate([np.zeros((n, 2, 2)), measures.covariances])[rows]
     correlation = np.concatenate([nothing, measures.correlation])[rows]
@@ -284,10 +284,10 @@ class _Cells(NamedTuple):
 def ground_cells(scene: Scene, pairs: Sequence[Pair], count: int, least: float = 0.0) -> _Cells:
     """Square cells of at least `least` m, of which about `count` fall on the ground that the largest pair shares."""
     side = max(float(np.sqrt(max(pair.area for pair in pairs) / count)), least)
-    cells = [np.zeros(0, dtype=np.int64)]
+    cells = [no_rows()]
     for picture, ((west, south), (east, north)) in zip(scene.pictures, boxes(scene), strict=True):
         columns, rows = np.arange(west // side, east // side + 1), np.arange(south // side, north // side + 1)
-        middle = (np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2) + 0.5) * side
+        middle = (all_pairs(columns, rows) + 0.5) * side
         pixels = picture.project(scene.ground.points(middle))
         inside = np.all((pixels > 0.0) & (pixels < [picture.image.lines, picture.image.samples]), axis=1)
         cells.append(cell_numbers(middle[inside], side))
@@ -373,9 +373,7 @@ def _second_look(
 ) -> Measured:
     """Features that did not fit a track's reference may fit each other: such tracks are split and measured again."""
     unfit = np.flatnonzero(~_acceptable(first, settings) | ~first.returns)
-    tracks = dict[int, list[int]]()
-    for k in unfit.tolist():
-        tracks.setdefault(int(first.track[k]), []).append(int(first.feature[k]))
+    tracks = grouped(zip(first.track[unfit].tolist(), first.feature[unfit].tolist(), strict=True))
     remeasured = measured(scene, links, [track for track in tracks.values() if len(track) > 1], sharp, settings, step)
     return remeasured._replace(track=remeasured.track + offset)
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.records import Array, Index, Mask, no_rows
 from mgsgraph.matching.equations import SplinePicture
 from mgsgraph.matching.least_squares import LeastSquaresMatches, match_least_squares
 from mgsgraph.matching.patches import Links, opencv
@@ -123,7 +123,7 @@ def _between(
     planes = links.plane[first], links.plane[other]
     begin, end = left.project(scene.ground.points(planes[0])), right.project(scene.ground.points(planes[1]))
     by_plane = left.derivatives(scene.ground, planes[0]), right.derivatives(scene.ground, planes[1])
-    affine = np.swapaxes(np.linalg.solve(np.swapaxes(by_plane[0], 1, 2), np.swapaxes(by_plane[1], 1, 2)), 1, 2)
+    affine = np.linalg.solve(by_plane[0].mT, by_plane[1].mT).mT
     anchors = sharpest_pixels(template.strength, np.floor(begin).astype(np.int64), halves[0]) + 0.5
     start = end + np.einsum("nij,nj->ni", affine, anchors - begin)
     parallax = right.height_parallax(scene.ground, start) - left.height_parallax(scene.ground, anchors)
@@ -192,7 +192,7 @@ def half_window(ground: Ground, picture: Picture, size: float) -> tuple[int, int
 
 
 def _empty() -> Measured:
-    whole, real = np.zeros(0, dtype=np.int64), np.zeros(0)
+    whole, real = no_rows(), np.zeros(0)
     pairs, matrices = np.zeros((0, 2)), np.zeros((0, 2, 2))
     return Measured(
         whole, whole, whole, whole, pairs, pairs, matrices, matrices, real, whole, np.zeros(0, dtype=bool)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from mgsgraph.errors import library
 from mgsgraph.geometry.body import in_turn
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, Mask, all_pairs, finite_rows, joined_rows
 from mgsgraph.geometry.terrain import refined
 from mgsgraph.matching.scene import Ground, Picture, Scene
 
@@ -70,7 +70,7 @@ class Tile(NamedTuple):
             axes.append(np.rint((lines - start) / self.step).astype(np.int64))
         return axes[0], axes[1]
 
-    def owns(self, plane: Array) -> NDArray[np.bool_]:
+    def owns(self, plane: Array) -> Mask:
         """(n,) which positions (n, 2) of the chart lie in the tile without its margin."""
         column, row = (plane[:, 0] - self.west) / self.step, (plane[:, 1] - self.south) / self.step
         inside = (column >= self.margin - 0.5) & (column < self.columns - self.margin - 0.5)
@@ -122,8 +122,7 @@ def ortho_patch(picture: Picture, ground: Ground, tile: Tile) -> Patch | None:
 def node_pixels(picture: Picture, ground: Ground, tile: Tile) -> Array:
     """(rows', columns', 2) line and sample of every sixteenth pixel, beyond the tile's last one; NaN where unseen."""
     columns, rows = (np.arange(-(-count // NODE) + 1) * float(NODE) for count in (tile.columns, tile.rows))
-    across, along = np.meshgrid(columns, rows)
-    points = ground.points(tile.plane(across.ravel(), along.ravel()))
+    points = ground.points(tile.plane(*all_pairs(columns, rows).T))
     return picture.project(points).reshape(rows.size, columns.size, 2)
 
 
@@ -132,7 +131,7 @@ def blur_sigmas(nodes: Array) -> tuple[float, float]:
     pixels would skip most of the picture's, and show their noise and aliases instead. Zero where none is needed.
     """
     steps = [np.abs(np.diff(nodes, axis=k)).reshape(-1, 2) / NODE for k in (0, 1)]
-    finite = [step[np.isfinite(step).all(axis=1)] for step in steps]
+    finite = [step[finite_rows(step)] for step in steps]
     if not (len(finite[0]) and len(finite[1])):
         return 0.0, 0.0
     lines, samples = np.hypot(*(np.median(step, axis=0) for step in finite)).tolist()
@@ -233,7 +232,7 @@ def concatenated(parts: Sequence[Links]) -> Links:
     first = np.cumsum([0, *(len(part.plane) for part in parts)])[:-1]
     return Links(
         np.concatenate([np.zeros((0, 2)), *(part.plane for part in parts)]),
-        np.concatenate([np.zeros(0, dtype=np.int64), *(part.picture for part in parts)]),
+        joined_rows(part.picture for part in parts),
         np.concatenate([np.zeros((0, 2), dtype=np.int64), *(p.links + k for p, k in zip(parts, first, strict=True))]),
         np.concatenate([np.zeros(0), *(part.likeness for part in parts)]),
     )
@@ -363,7 +362,7 @@ def _best(left: Features, right: Features, window: Window, step: float, ratio: f
     return best, likeness
 
 
-def _candidates(left: Features, right: Features, some: slice, near: slice, window: Window) -> NDArray[np.bool_]:
+def _candidates(left: Features, right: Features, some: slice, near: slice, window: Window) -> Mask:
     away = right.plane[near][None] - left.plane[some][:, None]
     along = away @ window.direction
     across = away @ np.array([-window.direction[1], window.direction[0]])

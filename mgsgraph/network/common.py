@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mgsgraph.errors import require
-from mgsgraph.geometry.records import Array, Index, assign, frozen, frozen_index
+from mgsgraph.geometry.records import Array, Index, assign, by_value, frozen, frozen_index, no_rows
+from mgsgraph.names import grouped
 from mgsgraph.network.records import ImageRays, LinearRows, Surface
 from mgsgraph.record import Record
 
@@ -84,9 +85,7 @@ class CommonErrors(Record):
 
     def by_width(self) -> Iterator[tuple[Index, Array]]:
         """Rows whose groups have as many factors, and their loads (k, width)."""
-        widths = self.widths[self.group]
-        for width in np.unique(widths).tolist():
-            rows = np.flatnonzero(widths == width)
+        for width, rows in by_value(self.widths[self.group]):
             yield rows, self.loads[rows, :width]
 
 
@@ -215,7 +214,7 @@ def _pairs(places: Array, parts: Sequence[tuple[Array, Array]]) -> tuple[Index, 
 
     farthest = max(float(reaches[shares > 0.0].max(initial=0.0)) for shares, reaches in parts)
     if farthest <= 0.0:
-        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+        return no_rows(), no_rows()
     first, second = cKDTree(places).query_pairs(farthest, p=np.inf, output_type="ndarray").T
     near = correlation(places, parts, first, second) > _SLIGHT
     return first[near], second[near]
@@ -270,9 +269,8 @@ def _links(
     for g, members in enumerate(groups):
         number[members] = g
     ends = np.sort(np.stack([number[rows] for rows in pairs], axis=1), axis=1)
-    before = dict[int, list[int]]()
-    for earlier, later in np.unique(ends[(ends[:, 0] != ends[:, 1]) & (ends[:, 0] >= 0)], axis=0).tolist():
-        before.setdefault(later, []).append(earlier)
+    ends = np.unique(ends[(ends[:, 0] != ends[:, 1]) & (ends[:, 0] >= 0)], axis=0)
+    before = grouped((later, earlier) for earlier, later in ends.tolist())
     linked = {g for later, earlier_groups in before.items() for g in (later, *earlier_groups)}
     scores, links = {g: np.linalg.pinv(loads[g]) for g in linked}, list[LinearRows]()
     for later, earlier_groups in before.items():

@@ -16,7 +16,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.geometry.orientation import OrientationImages
 from mgsgraph.geometry.records import Array, Index, assign, frozen
 from mgsgraph.record import Record
@@ -68,8 +68,7 @@ class Process(Record):
         assign(self, sigmas=sigmas)
         timed = self.kind in ("gauss-markov", "matern-3/2", "matern-5/2")
         time, expected = self.correlation_time, f"a positive number up to {_LONGEST_TIME:g} s"
-        if timed and not 0.0 < time <= _LONGEST_TIME:
-            raise InputError(f"{where}, correlation time", f"{time} s", expected)
+        require(not timed or 0.0 < time <= _LONGEST_TIME, f"{where}, correlation time", f"{time} s", expected)
         if not timed and time != 0.0:
             raise InputError(f"{where}, correlation time", f"{time} s", f"none: {self.kind} has no correlation time")
 
@@ -221,16 +220,11 @@ def _windows(
     among = np.where(both_present, _covariance(processes, axis, nodes, near[:, :, None], near[:, None, :]), 0.0)
     across = np.where(present, _covariance(processes, axis, nodes, near, moments[:, None]), 0.0)
     variance = _covariance(processes, axis, nodes, moments, moments)
-    nugget = _nugget(processes, axis)
+    nugget = float(NUGGET**2 * sum(process.sigmas[axis] ** 2 for process in processes if process.stationary))
     diagonal = np.arange(size)
     among[:, diagonal, diagonal] = np.where(present, among[:, diagonal, diagonal] + nugget, 1.0)
     root, along = _factorised(among, across)
     return root, along, variance + nugget
-
-
-def _nugget(processes: Sequence[Process], axis: int) -> float:
-    """Variance, m^2 or rad^2, that is added."""
-    return float(NUGGET**2 * sum(process.sigmas[axis] ** 2 for process in processes if process.stationary))
 
 
 def _factorised(matrices: Array, right: Array) -> tuple[Array, Array]:

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.body import geodetic
+from mgsgraph.geometry.body import ellipsoidal_heights
 from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.records import Array, Index, Mask, no_rows
 from mgsgraph.network.network import Network
 from mgsgraph.network.records import PointClass
 from mgsgraph.text import NAMED, many, some, span
@@ -159,7 +159,7 @@ def connectivity(network: Network, footprints: Sequence["Footprint"], used: Mask
     used : (rays,), optional
         False for rays that don't count (rejected ones).
     """
-    if tuple(footprint.name for footprint in footprints) != tuple(image.name for image in network.images):
+    if tuple(footprint.name for footprint in footprints) != tuple(network.image_names):
         raise InputError("connectivity", f"footprints of {len(footprints)} images", "one of each image, in order")
     m = len(footprints)
     linked, shared = _common_by_class(network, used)
@@ -210,7 +210,7 @@ def network_footprints(
     """
     from mgsgraph.geometry.footprint import footprint  # shapely takes its time
 
-    heights = geodetic(places, network.images[0].body)[:, 2]
+    heights = ellipsoidal_heights(places, network.body)
     finite = np.isfinite(heights)
     everywhere = float(np.median(heights[finite])) if np.any(finite) else 0.0
     footprints, order = [], np.argsort(network.rays.image, kind="stable")
@@ -233,7 +233,7 @@ def _common_by_class(network: Network, used: Mask | None) -> tuple[Index, Index]
     code = np.sort(rays.point[counted] * m + rays.image[counted])
     point, image = np.divmod(code[np.append(True, code[1:] != code[:-1])[: code.size]], m)
     of_class = network.points.classes[point]
-    codes, counts = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
+    codes, counts = [no_rows()], [no_rows()]
     for lag in range(m):
         first, second = slice(0, point.size - lag), slice(lag, None)
         same = point[first] == point[second]

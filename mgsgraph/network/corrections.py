@@ -214,7 +214,7 @@ def design(network: Network, image: int, angles: Angles, moments: Moments) -> li
     variables = (*polynomials, *vibrations)
     parts = (
         *(np.einsum("nd,dcw->ncw", basis, part.reshape(-1, 6, part.shape[1])) for part in polynomials.values()),
-        *(turn @ np.swapaxes(vibration.waves(moments)[0], 1, 2) for vibration in vibrations.values()),
+        *(turn @ vibration.waves(moments)[0].mT for vibration in vibrations.values()),
     )
     if number < 0:
         return [Design(slice(0, moments.u.size), variables, parts)]

@@ -11,7 +11,7 @@ from enum import StrEnum
 import numpy as np
 
 from mgsgraph.geometry.plausibility import duplicate_images
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, finite_rows
 from mgsgraph.network.network import Network
 from mgsgraph.network.records import PointClass
 from mgsgraph.record import Record
@@ -102,7 +102,7 @@ def duplicates(network: Network, since: int = 0) -> tuple[Duplicates, ...]:
         first, again = first[again >= since], again[again >= since]
         names = tuple(zip(points.ids[first[:NAMED]], points.ids[again[:NAMED]], strict=True))
         records.append(Duplicates(kind, first, again, names, int(np.count_nonzero(points.classes == of_class))))
-    images = [image.name for image in network.images]
+    images = network.image_names
     first, again = joined_pairs(np.array(duplicate_images(network.images), dtype=np.int64).reshape(-1, 2))
     names = tuple((images[j], images[k]) for j, k in zip(first[:NAMED].tolist(), again[:NAMED].tolist(), strict=True))
     records.append(Duplicates(DuplicateKind.IMAGE, first, again, names, len(images)))
@@ -186,7 +186,7 @@ def _neighbors(network: Network, of_class: PointClass, share: float, most: float
     from scipy.spatial import cKDTree  # slow to import
 
     places = network.points.places
-    members = np.flatnonzero((network.points.classes == of_class) & np.all(np.isfinite(places), axis=1))
+    members = np.flatnonzero((network.points.classes == of_class) & finite_rows(places))
     if not members.size:
         return np.zeros((0, 2), dtype=np.int64), np.zeros(0)
     tree = cKDTree(places[members])

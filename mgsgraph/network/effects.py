@@ -11,7 +11,8 @@ from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.camera import NoDistortion
 from mgsgraph.geometry.intersection import image_steps
 from mgsgraph.geometry.orientation import Angles, polynomial
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, by_value
+from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.network.corrections import interior_effect, radius_of
 from mgsgraph.network.network import Network
 from mgsgraph.network.records import LinearRows
@@ -88,7 +89,7 @@ class SharedEffects:
                 directions[:, columns, 6:] = np.swapaxes(self.of_interior(image, k, samples)[0], 0, 1)
             column += kind.width
         if common is not None and more:
-            directions[:, column:, 6:8] = np.swapaxes(common, 1, 2)
+            directions[:, column:, 6:8] = common.mT
         return directions
 
     def _waves(self, image: int, shared: int, u: Array) -> tuple[Array, Array]:
@@ -152,8 +153,7 @@ def common_looks(network: Network) -> list[tuple[Index, Array]]:
     for rows, loads in common.by_width():
         members = common.members[rows]
         pixel = np.empty((rows.size, 2, 2))
-        for j in np.unique(rays.image[members]).tolist():
-            of_image = np.flatnonzero(rays.image[members] == j)
+        for j, of_image in by_value(rays.image[members]):
             lines, samples = rays.places[members[of_image]].T
             pixel[of_image] = image_steps(network.images[j], lines, samples, network.axes_of(j))
         pixel *= rays.sigmas[members][:, None]
@@ -224,12 +224,12 @@ def footprint_motion(network: Network, shared: SharedUnknown) -> tuple[Index, Ar
         places = network.points.places[points]
         if shared.kind is SharedKind.PROFILE_DRIFT:
             return points, along_track(places)[:, None, None] * east_north(places)
-        up = places / np.linalg.norm(places, axis=1, keepdims=True)
+        up = unit_vectors(places)
         return points, np.stack([up, along_track(places)[:, None] * up], axis=1)
     points, chosen = network.beams(shared)
     ranges, motion = network.ranges.chosen(chosen), np.empty((points.size, 3, 3))
-    for j in np.unique(ranges.image).tolist():
-        of_image, image = ranges.image == j, network.images[j]
+    for j, of_image in by_value(ranges.image):
+        image = network.images[j]
         since = ranges.times[of_image] - image.trajectory.epoch
         if shared.kind is SharedKind.ALTIMETER_LEVER_ARM:
             motion[of_image] = image.trajectory.pose(since).matrix
@@ -257,7 +257,7 @@ def crossover_rows(network: Network) -> Iterator[LinearRows]:
     if crossing is None or shifts is None:
         return
     effects, shots = dict[int, Array](), crossing.shots
-    ways = east_north(places[shots.ravel()]).reshape(*shots.shape, 2, 3).swapaxes(2, 3)
+    ways = east_north(places[shots.ravel()]).reshape(*shots.shape, 2, 3).mT
     for p in np.unique(shifts.profile[shots]).tolist():
         of_profile = (shifts.profile[shots] == p)[:, :, None, None]
         effects[len(network.images) + p] = crossing.effect(places, np.where(of_profile, ways, 0.0))
@@ -265,7 +265,7 @@ def crossover_rows(network: Network) -> Iterator[LinearRows]:
         if shared.kind.moves_footprints:
             points, motion = footprint_motion(network, shared)
             index = np.searchsorted(points, shots).clip(max=points.size - 1)
-            moved = np.where((points[index] == shots)[:, :, None, None], motion[index].swapaxes(2, 3), 0.0)
+            moved = np.where((points[index] == shots)[:, :, None, None], motion[index].mT, 0.0)
             effects[network.first_shared + k] = crossing.effect(places, moved)
     differences = crossing.differences(places)
     for row, sigma in enumerate(crossing.sigmas.tolist()):

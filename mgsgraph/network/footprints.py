@@ -26,11 +26,11 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.tie_points import TiePoints
 from mgsgraph.geometry.altimetry import AltimeterShots
-from mgsgraph.geometry.body import geodetic
+from mgsgraph.geometry.body import ellipsoidal_heights
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.records import Array, Index, Mask, all_pairs, finite_rows
 from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.network.joining import seconds
 from mgsgraph.record import Record
@@ -258,7 +258,7 @@ def visible_places(image: PushbroomImage, points: Array, correction: Orientation
 def _near(image: PushbroomImage, points: Array, correction: OrientationCorrection | None) -> Index:
     """Points that are near the image's own ground."""
     edge = np.array([0.0, 0.5, 1.0])
-    lines, samples = (part.ravel() for part in np.meshgrid(edge * image.lines, edge * image.samples, indexing="ij"))
+    samples, lines = all_pairs(edge * image.samples, edge * image.lines).T
     ground, _ = image.image_to_ground(lines, samples, correction=correction)
     if not np.all(np.isfinite(ground)):
         return np.arange(len(points))
@@ -291,7 +291,7 @@ def misregistration(
     """
     ground = shots.footprints if points is None else points
     projected, _ = image.ground_to_image(ground, correction, true_places[:, 0])
-    chosen = np.flatnonzero(np.all(np.isfinite(projected + true_places), axis=1))
+    chosen = np.flatnonzero(finite_rows(projected + true_places))
     off = projected[chosen] - true_places[chosen]
     metres = on_ground(image, projected[chosen], ground[chosen], correction)
     return Misregistration(
@@ -347,12 +347,11 @@ def on_ground(
     image: PushbroomImage, places: Array, points: Array, correction: OrientationCorrection | None
 ) -> Array:
     """(n, 2, 2) metres along the flight and to its right per line and per sample, at the points' heights."""
-    height = geodetic(points, image.body)[:, 2]
+    height = ellipsoidal_heights(points, image.body)
     _, to_ground = image.image_to_ground(places[:, 0], places[:, 1], height, correction)
     up = unit_vectors(points)
     flight = image.pose(places[:, 0], correction).velocity
-    along = flight - np.einsum("ni,ni->n", flight, up)[:, None] * up
-    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    along = unit_vectors(flight - np.einsum("ni,ni->n", flight, up)[:, None] * up)
     return np.asarray(np.stack([along, np.cross(along, up)], axis=1) @ to_ground)
 
 
@@ -386,7 +385,7 @@ def _tie_heights(
             f"images {pair[0].name} and {pair[1].name}",
             f"parallel rays of the tie at line {line:.1f}, sample {sample:.1f}", "images from different places",
         )
-    return geodetic(points, pair[0].body)[:, 2]
+    return ellipsoidal_heights(points, pair[0].body)
 
 
 def _transfer(
@@ -415,7 +414,7 @@ def _plane_heights(image: PushbroomImage, ties: Array, heights: Array, places: A
     rows = np.arange(places.shape[0])[:, None]
     design = np.stack([np.ones_like(distance[rows, near]), down[rows, near], across[rows, near]], axis=2)
     design[:, :, 1:] *= size / 1e3  # km, so that the columns are of one size
-    normal = np.swapaxes(design, 1, 2) @ design
+    normal = design.mT @ design
     normal += 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(3)  # ties in one line make no plane
     inverse = np.linalg.inv(normal)
     planes = np.einsum("nij,nkj,nk->ni", inverse, design, heights[near])

@@ -16,9 +16,10 @@ from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import target_name
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationImages, Sine
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, by_value
 from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.geometry.trajectory import Pose
+from mgsgraph.names import numbered
 from mgsgraph.network.network import Network
 from mgsgraph.network.passes import Pass, PassPrior
 from mgsgraph.network.shared import SharedKind, SharedUnknown
@@ -48,9 +49,14 @@ def seconds(image: PushbroomImage) -> tuple[float, float]:
     return float(start), float(stop)
 
 
+def spans(images: Iterable[PushbroomImage]) -> Array:
+    """(n, 2) the same of several images."""
+    return np.array([image.span for image in images])
+
+
 def sine_over(images: Sequence[PushbroomImage], frequency: float) -> Sine:
     """A vibration of a frequency in Hz over the time of some images."""
-    times = np.array([seconds(image) for image in images])
+    times = spans(images)
     start, stop = float(times.min()), float(times.max())
     return Sine(frequency, 0.5 * (start + stop), 0.5 * (stop - start))
 
@@ -69,12 +75,11 @@ def nominal_poses(images: Sequence[PushbroomImage], times: Array, axes: Array | 
     it, or come nearest; for images may have tables of their own, which end with their lines. Attitudes are those of the
     pass's axes; `axes` (m, 3, 3) is how each camera is mounted against them (`network.passes.Pass`).
     """
-    edges = np.array([seconds(image) for image in images])
+    edges = spans(images)
     beyond = np.maximum(edges[:, :1] - times, times - edges[:, 1:])
     owner = np.maximum(beyond, 0.0).argmin(axis=0)
     parts = [np.empty((times.size, *shape)) for shape in ((3,), (3,), (3, 3), (3,))]
-    for j in np.unique(owner).tolist():
-        chosen = np.flatnonzero(owner == j)
+    for j, chosen in by_value(owner):
         trajectory = images[j].trajectory
         pose = trajectory.pose(np.clip(times[chosen] - trajectory.epoch, *trajectory.coverage))
         pose = pose.in_axes(None if axes is None else axes[j])
@@ -188,7 +193,7 @@ def _require_close_in_time(images: Sequence[PushbroomImage], where: str) -> None
 
 def _meetings(images: Sequence[PushbroomImage]) -> Iterator[tuple[int, int, Array]]:
     """Images that have a time in common, one < other, and moments of it, s TDB past J2000."""
-    edges = np.array([seconds(image) for image in images])
+    edges = spans(images)
     for first in range(len(images)):
         starts, stops = np.maximum(edges[first, 0], edges[:, 0]), np.minimum(edges[first, 1], edges[:, 1])
         for second in (np.flatnonzero(stops[first + 1 :] > starts[first + 1 :]) + first + 1).tolist():
@@ -211,7 +216,7 @@ def _mounted(first_image: PushbroomImage, second_image: PushbroomImage, times: A
             where, f"{pair}, whose cameras at one time are {distance:.0f} m apart",
             "images of one spacecraft", "make them two passes",
         )  # fmt: skip
-    turns = second.matrix @ np.swapaxes(first.matrix, 1, 2)
+    turns = second.matrix @ first.matrix.mT
     middle = turns[times.size // 2]
     changes = max(_angle(turn @ middle.T) for turn in turns)
     if changes > _LOOSE and _angle(middle) > _TURNED:
@@ -296,7 +301,7 @@ def _same_plane(first: PushbroomImage, second: PushbroomImage) -> bool:
 
 def mounting_angles(axes: Array) -> Array:
     """(m, 3) rad: rotation vectors, about x, y, z, by which each camera is turned against the axes of its pass."""
-    return rotation.logarithm(np.swapaxes(axes, 1, 2))
+    return rotation.logarithm(axes.mT)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -391,7 +396,7 @@ class Definitions:
 
 def definitions(network: Network) -> Definitions:
     """Of a network."""
-    names = [image.name for image in network.images]
+    names = network.image_names
 
     def named(images: Index) -> tuple[str, ...]:
         return tuple(names[j] for j in images.tolist())
@@ -413,7 +418,7 @@ def with_definitions(network: Network, named: Definitions) -> Network:
     """A network with these passes and shared unknowns in the place of its own, as far as its images have them."""
     if not (named or network.passes or network.shared):
         return network
-    number = {image.name: j for j, image in enumerate(network.images)}
+    number = numbered(network.image_names)
     present = named.of(number)
     considered = [name for name in network.considered if name in network.shift_names]
     considered += [item.name for item in present.shared.values() if item.considered]

@@ -8,6 +8,7 @@ import numpy as np
 
 from mgsgraph.errors import InputError, require
 from mgsgraph.files.networks.tie_points import PointKind
+from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior, Sine
 from mgsgraph.geometry.records import (
@@ -15,6 +16,7 @@ from mgsgraph.geometry.records import (
     Index,
     Mask,
     assign,
+    by_value,
     frozen,
     frozen_index,
     frozen_mask,
@@ -22,7 +24,7 @@ from mgsgraph.geometry.records import (
     require_names,
 )
 from mgsgraph.geometry.terrain import TerrainGrid
-from mgsgraph.names import number_of
+from mgsgraph.names import number_of, numbered
 from mgsgraph.network.common import CommonErrors, scaled
 from mgsgraph.network.passes import Pass
 from mgsgraph.network.records import (
@@ -97,7 +99,7 @@ class Network(Record):
     def __post_init__(self) -> None:
         n, m = len(self.points), len(self.images)
         require(m != 0, "network", "no images", "at least one")
-        require_names(tuple(image.name for image in self.images), "images")
+        require_names(self.image_names, "images")
         if len(self.priors) != m:
             raise InputError("network", f"{len(self.priors)} orientation priors", f"one for each of {m} images")
         held = frozen_mask(self.held, "network, held", m)
@@ -153,7 +155,7 @@ class Network(Record):
         unknowns = (*self.shift_names, *(unknown.name for unknown in self.shared))
         for name in self.considered:
             if name not in unknowns:
-                expected = some(unknowns, len(unknowns)) if unknowns else "none: there are no such unknowns"
+                expected = some(unknowns) or "none: there are no such unknowns"
                 raise InputError("considered unknowns", f"{name!r}", f"a shift or a shared unknown ({expected})")
             terms = self.surface.terms if self.surface is not None and name == TERRAIN else ()
             if terms and not self.surface_shifts:
@@ -175,8 +177,7 @@ class Network(Record):
         for array in (surface, images, sigmas):
             array.flags.writeable = False
         rejected = frozen_mask(self.stereo.rejected, "stereo control: marks of rejection", n)
-        stereo = replace(self.stereo, images=images, surface=surface, sigmas=sigmas, rejected=rejected)
-        assign(self, stereo=stereo)
+        assign(self, stereo=replace(self.stereo, images=images, surface=surface, sigmas=sigmas, rejected=rejected))
 
     def considering(self, names: Iterable[str]) -> "Network":
         """The network with those of some names considered that are unknowns of its own."""
@@ -199,9 +200,8 @@ class Network(Record):
             where = f"pass {pass_.name!r}"
             start, stop = pass_.nodes.coverage
             for j in pass_.images.tolist():
-                if j >= len(self.images) or members.count(j) > 1:
-                    expected = "an image of the network, of one pass alone"
-                    raise InputError(f"{where}, images", f"image {j}", expected)
+                expected = "an image of the network, of one pass alone"
+                require(j < len(self.images) and members.count(j) == 1, f"{where}, images", f"image {j}", expected)
                 image = self.images[j]
                 require(not self.held[j], f"{where}, image {image.name}", "it is held", "images that are adjusted")
                 edges, period = image.timing.at(np.array([0.0, float(image.lines)]))
@@ -235,8 +235,7 @@ class Network(Record):
             assign(self, surface=replace(self.surface, sigmas=read_only(heights)))
 
     def _require_shots_covered(self) -> None:
-        for j in np.unique(self.ranges.image):
-            chosen = np.flatnonzero(self.ranges.image == j)
+        for j, chosen in by_value(self.ranges.image):
             trajectory = self.images[j].trajectory
             since = self.ranges.times[chosen] - trajectory.epoch
             start, stop = trajectory.coverage
@@ -336,14 +335,24 @@ class Network(Record):
     @cached_property
     def _numbers(self) -> Mapping[str, Mapping[str, int]]:
         names = {
-            "image": [image.name for image in self.images], "shift": list(self.shift_names),
+            "image": self.image_names, "shift": list(self.shift_names),
             "shared unknown": [owner.name for owner in self.shared], "pass": [owner.name for owner in self.passes],
         }  # fmt: skip
-        return {what: {name: k for k, name in enumerate(several)} for what, several in names.items()}
+        return {what: numbered(several) for what, several in names.items()}
 
     @cached_property
     def _point_numbers(self) -> Mapping[str, int]:
-        return {name: i for i, name in enumerate(self.points.ids)}
+        return numbered(self.points.ids)
+
+    @property
+    def body(self) -> Ellipsoid:
+        """Ellipsoid of the body that all images show."""
+        return self.images[0].body
+
+    @property
+    def image_names(self) -> list[str]:
+        """Names of the images."""
+        return [image.name for image in self.images]
 
     def pictures(self, pass_: str | int) -> list[PushbroomImage]:
         """Images of a pass."""
@@ -370,8 +379,7 @@ class Network(Record):
         """(passes + 1,) first variable of each pass, its first node; then the number of variables before those of
         common errors.
         """
-        counts = [pass_.widths.size for pass_ in self.passes]
-        before = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+        before = np.concatenate([[0], np.cumsum([pass_.widths.size for pass_ in self.passes])]).astype(np.int64)
         return read_only(self.first_shared + len(self.shared) + before)
 
     @cached_property
@@ -444,8 +452,7 @@ class Network(Record):
             return self
         rays, surface, (points, ranges) = self.rays, self.surface, self.ranges.independent(self.points)
         if self.common_rays is not None:
-            errors = self.common_rays
-            rays = replace(rays, sigmas=scaled(rays.sigmas, errors.members, errors.independent))
+            rays = replace(rays, sigmas=scaled(rays.sigmas, self.common_rays.members, self.common_rays.independent))
         if self.common_heights is not None and surface is not None:
             errors = self.common_heights
             surface = replace(surface, sigmas=scaled(surface.sigmas, errors.members, errors.independent))
@@ -502,10 +509,8 @@ class Network(Record):
 
     def of_class(self) -> Iterator[tuple[PointClass, Index]]:
         """Each class that occurs, with the indices of its points."""
-        for point_class in PointClass:
-            members = np.flatnonzero(self.points.classes == point_class)
-            if members.size:
-                yield point_class, members
+        for value, members in by_value(self.points.classes):
+            yield PointClass(value), members
 
     def __repr__(self) -> str:
         classes = ", ".join(f"{members.size} {name.name.lower()}" for name, members in self.of_class())

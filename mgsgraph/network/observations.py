@@ -33,12 +33,12 @@ from mgsgraph.geometry.altimetry import (
 )
 from mgsgraph.geometry.body import in_turn, planetocentric
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.records import Array, Index, Mask, finite_rows
 from mgsgraph.geometry.terrain import PostLattice, TerrainGrid
 from mgsgraph.names import Names, RepeatedNames
 from mgsgraph.network.common import gap_variances
 from mgsgraph.network.footprints import Registration
-from mgsgraph.network.joining import seconds
+from mgsgraph.network.joining import spans
 from mgsgraph.network.network import Network
 from mgsgraph.network.parts import KnownImage, image_columns, joined
 from mgsgraph.network.records import GroundPoints, ImageRays, PointClass, ProfileShifts, Ranges
@@ -257,7 +257,7 @@ class Coverage(NamedTuple):
 
 def coverage(grid: TerrainGrid, places: Array) -> Coverage:
     """How a terrain model covers places (n, 3) in m, body-fixed; those that are NaN count as outside it."""
-    sound = np.all(np.isfinite(places), axis=1)
+    sound = finite_rows(places)
     inside = np.zeros(sound.size, dtype=bool)
     inside[sound] = grid.holds(places[sound])
     on = int(np.count_nonzero(np.isfinite(grid.at(places[inside]))))
@@ -378,7 +378,7 @@ def posts_of(model: TerrainModel, least: float) -> Posts:
         spread += gap_variances(np.nan_to_num(points), *(mean(gap) for gap in lattice.gaps))
     names = Names.joined(*(first + 1).T).prefixed(f"{model.name}:")
     posts = Posts(names, points, np.sqrt(spread), _WIDTH * float(np.sqrt(np.prod(sides * [high, wide]))))
-    return posts.chosen(np.flatnonzero(np.all(np.isfinite(points), axis=1)))
+    return posts.chosen(np.flatnonzero(finite_rows(points)))
 
 
 def _sides(lattice: PostLattice) -> Array:
@@ -491,7 +491,7 @@ def shots_carried(registration: Registration, owners: Index, passes: Sequence[Me
 def _along_pass(registration: Registration, pass_: Members) -> Index:
     """Carriers among the images of a pass: of the camera that covers most shots; an image's own shots by itself."""
     times, members = registration.shots.times, np.array(pass_.images)
-    edges = np.array([seconds(registration.images[j]) for j in pass_.images])
+    edges = spans(registration.images[j] for j in pass_.images)
     during = (times >= edges[:, 0].min()) & (times <= edges[:, 1].max())
     covered = np.zeros((members.size, times.size), dtype=bool)
     for k, j in enumerate(pass_.images):

@@ -3,7 +3,8 @@
 import numpy as np
 
 from mgsgraph.files.networks.tie_points import PointKind
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.records import Array, Index, Mask, by_value
+from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.network.network import Network
 
 _TIMES = 3.0
@@ -39,11 +40,9 @@ def nearly_parallel(network: Network, points: Index) -> Mask:
     order = np.argsort(points)
     rows = np.flatnonzero(np.isin(rays.point, points[held]))
     number, looks = order[np.searchsorted(points, rays.point[rows], sorter=order)], np.empty((rows.size, 3))
-    for j in np.unique(rays.image[rows]).tolist():
-        of_image = rays.image[rows] == j
+    for j, of_image in by_value(rays.image[rows]):
         looks[of_image] = network.images[j].sightlines(*rays.places[rows[of_image]].T)[1]
-    looks /= np.linalg.norm(looks, axis=1)[:, None]
-    first = np.zeros((points.size, 3))
+    looks, first = unit_vectors(looks), np.zeros((points.size, 3))
     first[number[::-1]] = looks[::-1]
     distances = np.linalg.norm(looks - first[number], axis=1)
     held[number[distances > _MOST]] = False

@@ -1,6 +1,6 @@
 """Networks taken apart into bundles (points that depend on the same shared unknowns) and put together again."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
@@ -11,8 +11,8 @@ from mgsgraph.errors import InputError, require
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import SUPPORT, OrientationPrior
-from mgsgraph.geometry.records import Array, Index, Mask, chosen_rows, concatenated, place_of
-from mgsgraph.names import Names
+from mgsgraph.geometry.records import Array, Index, Mask, chosen_rows, concatenated, no_rows, place_of
+from mgsgraph.names import Names, numbered
 from mgsgraph.network.joining import NamedPass, definitions, united, with_definitions
 from mgsgraph.network.network import Network
 from mgsgraph.network.passes import Pass
@@ -71,6 +71,8 @@ def image_columns(given: Sequence[KnownImage]) -> tuple[tuple[PushbroomImage, ..
     return tuple(image.image for image in given), tuple(image.prior for image in given), held
 
 
+ByUnknown = Mapping[Unknown, Array]
+"""Numbers of each unknown, (d,)."""
 Members = tuple[Unknown, ...]
 """The shared unknowns that points depend on, in order; they identify a bundle. A held image has none. The orientation
 images among them are those about the measured lines; a reduced system may have others, of the predicted lines."""
@@ -120,7 +122,7 @@ def require_separable(network: Network) -> None:
 
 def alone(image: KnownImage) -> Network:
     """A network of one image without any point."""
-    nothing, none = np.zeros(0, dtype=np.int64), np.zeros((0, 3))
+    nothing, none = no_rows(), np.zeros((0, 3))
     points = GroundPoints(Names.of(()), nothing, nothing, none, np.zeros((0, 3, 3)))
     rays = ImageRays(nothing, nothing, np.zeros((0, 2)), np.zeros((0, 2)))
     return Network(*image_columns([image]), points, rays, Ranges.none())
@@ -346,7 +348,7 @@ def joined(networks: Sequence[Network]) -> Network:
     if len(networks) == 1:
         return networks[0]
     images = {image.image.name: image for net in networks for image in known_images(net)}
-    number = {name: j for j, name in enumerate(images)}
+    number = numbered(images)
     image_of = [np.array([number[image.name] for image in net.images], dtype=np.int64) for net in networks]
     place_of, points = _joined_points(networks)
     rays = ImageRays(*_columns(
@@ -429,7 +431,7 @@ def _joined_shifts(networks: Sequence[Network], place_of: list[Index], count: in
                 raise InputError(f"profile {name}", found, "one")
     if not sigmas:
         return None
-    number, profile = {name: p for p, name in enumerate(sigmas)}, np.full(count, -1)
+    number, profile = numbered(sigmas), np.full(count, -1)
     for net, place in zip(networks, place_of, strict=True):
         if net.shifts is not None:
             shifted = net.shifts.profile >= 0
@@ -453,7 +455,7 @@ def _joined_surface(networks: Sequence[Network], place_of: list[Index], count: i
 def with_images(network: Network, images: Sequence[KnownImage]) -> Network:
     """A network with all of these images, in their order; those that no measure names are in it, too."""
     require_separable(network)
-    place = {image.image.name: j for j, image in enumerate(images)}
+    place = numbered(image.image.name for image in images)
     number = np.array([place[image.name] for image in network.images], dtype=np.int64)
     rays, ranges, (pictures, priors, held) = network.rays, network.ranges, image_columns(images)
     stereo, named = network.stereo, definitions(network)
@@ -477,7 +479,7 @@ def without_images(network: Network, names: Iterable[str]) -> Network | None:
 
     Points that no ray and no range is left of go, too: the images had brought them.
     """
-    network, removed = network.independent, np.isin([image.name for image in network.images], list(names))
+    network, removed = network.independent, np.isin(network.image_names, list(names))
     rays, ranges = ~removed[network.rays.image], ~removed[network.ranges.image]
     measured = np.zeros(len(network.points), dtype=bool)
     measured[network.rays.point[rays]] = measured[network.ranges.point[ranges]] = True

@@ -215,7 +215,9 @@ class PolynomialPrior(BiasAndDrift):
 
     def factors(self, nodes: OrientationImages) -> Iterator[LinearFactor]:
         """One factor: a whitened row of each coefficient that is known or held."""
-        require_polynomial_nodes(nodes)
+        expected = f"{SUPPORT}, which hold a cubic polynomial"  # four of Lagrange's basis
+        require(len(nodes) == SUPPORT, "polynomial prior", f"{len(nodes)} nodes", expected,
+                "leave the nodes out, or take a process")  # fmt: skip
         s = normalised(nodes)
         to_terms = np.linalg.solve(s[:, None] ** np.arange(SUPPORT), np.eye(SUPPORT))
         sigmas = self.coefficient_sigmas
@@ -224,16 +226,8 @@ class PolynomialPrior(BiasAndDrift):
             return
         rows, weights = np.arange(term.size), 1.0 / sigmas[term, component]
         blocks = np.zeros((SUPPORT, term.size, 6))
-        for k in range(SUPPORT):
-            blocks[k, rows, component] = weights * to_terms[term, k]
+        blocks[:, rows, component] = weights * to_terms[term].T
         yield LinearFactor(tuple(range(SUPPORT)), tuple(blocks), np.stack([term, component], axis=1))
-
-
-def require_polynomial_nodes(nodes: OrientationImages) -> None:
-    """Raise InputError unless nodes hold polynomials: four of Lagrange's basis."""
-    if len(nodes) != SUPPORT:
-        expected = f"{SUPPORT}, which hold a cubic polynomial"
-        raise InputError("polynomial prior", f"{len(nodes)} nodes", expected, "leave the nodes out, or take a process")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -388,7 +382,7 @@ class Pass(Record):
         if self.axes is not None:
             where = f"pass {self.name!r}, axes"
             axes = frozen(self.axes, where, (images.size, 3, 3))
-            off = np.abs(axes @ np.swapaxes(axes, 1, 2) - np.eye(3)).max()
+            off = np.abs(axes @ axes.mT - np.eye(3)).max()
             if off > _NO_ROTATION or np.linalg.det(axes).min() < 0.0:
                 raise InputError(where, f"matrices that are no rotations (off by {off:.2g})", "orthonormal rows")
             assign(self, axes=axes)

@@ -26,8 +26,10 @@ from mgsgraph.geometry.records import (
     Index,
     Mask,
     assign,
+    finite_rows,
     frozen,
     frozen_index,
+    joined_rows,
     of_kind,
     require_covariances,
     require_names,
@@ -91,7 +93,7 @@ class GroundPoints(Record):
         require(places.shape == (n, 3), "ground points, places", f"an array of shape {places.shape}", f"shape ({n}, 3)")
         for i in np.flatnonzero(np.any(np.isinf(places), axis=1))[:1]:
             raise InputError(f"ground point {self.ids[i]}", "an infinite place", "metres, or NaN where unknown")
-        located = np.all(np.isfinite(places), axis=1)
+        located = finite_rows(places)
         for i in np.flatnonzero((kinds != PointKind.FREE) & ~located)[:1]:
             raise InputError(f"ground point {self.ids[i]}", "no a-priori place", "one for a constrained or fixed point")
         covariances = frozen(self.covariances, "ground points, covariances", (n, 3, 3))
@@ -410,7 +412,7 @@ def crossovers(
     """
     laser = points.classes == PointClass.LASER
     members = [np.flatnonzero((shifts.profile == p) & laser) for p in range(len(moved))]
-    used = np.concatenate([np.zeros(0, dtype=np.int64), *members])
+    used = joined_rows(members)
     places = points.places.copy()
     ways = east_north_up(places[used])[:, :2]
     places[used] += np.einsum("nk,nkj->nj", moved[shifts.profile[used]], ways)
@@ -429,12 +431,7 @@ def crossovers(
             vague = float(np.linalg.norm(slope) * np.linalg.norm(doubt))
             sigma = float(np.linalg.norm(np.array([pair[0].sigma, pair[1].sigma, vague])))
             rows.append((shots, shares, slope * (not doubt.size), moved[k] - moved[m], sigma))
-    return _as_record(rows) if rows else None
-
-
-def _as_record(rows: Sequence[tuple[Index, Array, Array, Array, float]]) -> Crossovers:
-    shots, shares, gradients, about, sigmas = zip(*rows, strict=True)
-    return Crossovers(np.array(shots), np.array(shares), np.array(gradients), np.array(about), np.array(sigmas))
+    return Crossovers(*map(np.array, zip(*rows, strict=True))) if rows else None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

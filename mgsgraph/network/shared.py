@@ -20,7 +20,7 @@ from mgsgraph.errors import InputError, require
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import Angles, Moments, Sine
-from mgsgraph.geometry.records import Array, Index, assign, frozen, frozen_index
+from mgsgraph.geometry.records import Array, Index, assign, frozen, frozen_index, no_rows
 from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.record import Record
@@ -127,11 +127,6 @@ class SharedKind(StrEnum):
         return int(self[-1]) if self.startswith("radial distortion") else 0
 
     @property
-    def is_lever_arm(self) -> bool:
-        """Whether it is a place of an instrument along a camera's axes."""
-        return self.endswith("lever arm")
-
-    @property
     def moves_instrument(self) -> bool:
         """Whether it acts by where the camera of rays, or the laser of ranges, is or how it stands (`image_effect`)."""
         return self.moves_pose or self is SharedKind.ALTIMETER_LEVER_ARM
@@ -186,13 +181,13 @@ class SharedUnknown(Record):
     @classmethod
     def of_height(cls, profile: str, middle: float, drift: float | None = None) -> "SharedUnknown":
         """Height of a profile with a-priori sigmas of its middle and its drift in m; no drift when None."""
-        sigmas, none = np.array([middle, drift or _NO_DRIFT]), np.zeros(0, dtype=np.int64)
+        sigmas, none = np.array([middle, drift or _NO_DRIFT]), no_rows()
         return cls(f"height of {profile}", SharedKind.PROFILE_HEIGHT, none, sigmas, profile)
 
     @classmethod
     def of_drift(cls, profile: str, sigma: float) -> "SharedUnknown":
         """How much a profile's horizontal shift grows from its middle to its end, with an a-priori sigma in m."""
-        none = np.zeros(0, dtype=np.int64)
+        none = no_rows()
         return cls(f"drift of {profile}", SharedKind.PROFILE_DRIFT, none, np.full(2, sigma), profile)
 
     @classmethod
@@ -248,7 +243,7 @@ def image_effect(image: PushbroomImage, kind: SharedKind, angles: Angles) -> Arr
     if kind in (SharedKind.CAMERA_BORESIGHT, SharedKind.VIBRATION):
         for column in range(kind.width):
             effect[column, :, 3 + 3 * column // kind.width] = 1.0
-    elif kind.is_lever_arm:
+    elif kind.endswith("lever arm"):
         effect[:, :, :3] = np.swapaxes(pose.matrix, 0, 1)
     elif kind is SharedKind.LINE_RATE:
         later = _past_middle(image, lines)
@@ -296,7 +291,7 @@ def _spin(image: PushbroomImage) -> Array:
 def _added_angles(pose: Pose, angles: Angles, turned: Array) -> Array:
     """(n, 3) rad added to omega, phi, kappa by small rotations (n, 3) about the camera axes."""
     paper = angles == "opk-paper"
-    nominal = rotation.omega_phi_kappa(pose.matrix if paper else np.swapaxes(pose.matrix, 1, 2))
+    nominal = rotation.omega_phi_kappa(pose.matrix if paper else pose.matrix.mT)
     return np.asarray(np.linalg.solve(rotation.angle_axes(nominal, paper), turned[:, :, None])[:, :, 0])
 
 

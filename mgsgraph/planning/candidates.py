@@ -13,8 +13,8 @@ import numpy as np
 
 from mgsgraph.errors import InputError, require
 from mgsgraph.files.networks.tie_points import PointKind
-from mgsgraph.geometry.records import Array, Index
-from mgsgraph.names import Names
+from mgsgraph.geometry.records import Array, Index, no_rows
+from mgsgraph.names import Names, numbered
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, ProfileShifts, Ranges, Surface
 from mgsgraph.network.joining import with_definitions
 from mgsgraph.network.parts import KnownImage, image_columns, joined, select_points
@@ -178,7 +178,7 @@ def planned_profile(coverage: ImageCoverage, name: str, shots: PlannedShots) -> 
     ids = Names.of(f"{name}:{i + 1}" for i in range(n))
     _require_new(coverage, ids, name)
     points = _points(ids, PointClass.LASER, shots.footprints, shots.covariances)
-    rays: _Rays = (np.zeros(0, dtype=np.int64), [], np.zeros((0, 2)), np.zeros((0, 2)))
+    rays: _Rays = (no_rows(), [], np.zeros((0, 2)), np.zeros((0, 2)))
     if shots.image_sigma is not None:
         point, images, places = coverage.rays(shots.footprints, coverage.near(shots.footprints))
         rays = point, images, places, np.full(places.shape, shots.image_sigma)
@@ -279,7 +279,7 @@ def _network(
         return None
     images = [view.known for name, view in coverage.views.items() if name in used]
     images += [new_image] if new_image is not None and new_image.image.name in used else []
-    number = {image.image.name: j for j, image in enumerate(images)}
+    number = numbered(image.image.name for image in images)
     shots = Ranges.none()
     if ranges is not None:
         shots = Ranges(ranges[0], np.full(ranges[0].size, number[ranges[1]]), *ranges[2:])

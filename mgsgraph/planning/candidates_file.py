@@ -14,7 +14,7 @@ import numpy as np
 from mgsgraph.case.case_file import read_image
 from mgsgraph.case.motion import Positive, Sigma
 from mgsgraph.case.schema import ImageInput, OrientationInput, SpiceInput
-from mgsgraph.errors import InputError, errors_from
+from mgsgraph.errors import InputError, errors_from, require
 from mgsgraph.files.altimetry.lidar import read_lidar
 from mgsgraph.files.altimetry.shots import read_shots
 from mgsgraph.files.decoding import read_toml, validated
@@ -165,8 +165,7 @@ def _image(coverage: ImageCoverage, entry: CandidateImage, tables: CandidatesInp
         found = f"the image {entry.name!r}, which is in the network already"
         raise InputError(where, found, "a new image", "take it out of the candidates")
     image = read_image(entry, tables.spice, path.parent, where)
-    if image.body != coverage.network.images[0].body:
-        raise InputError(where, "an image of another body than the network's", "one body")
+    require(image.body == coverage.network.body, where, "an image of another body than the network's", "one body")
     image = orientation.nominal_of(image)
     stated = f"{where}.orientation" if entry.orientation else f"{path}, orientation"
     prior = orientation.prior(stated, image.mission)
@@ -179,9 +178,8 @@ def _profile(coverage: ImageCoverage, entry: CandidateProfile, path: Path, k: in
         found = "neither file nor every_s" if entry.file is None else "both file and every_s"
         raise InputError(where, found, "a file, or image and every_s")
     if entry.image is not None:
-        if entry.image not in coverage.views:
-            names = some(list(coverage.views), len(coverage.views))
-            raise InputError(where, f"the image {entry.image!r}", f"an image of the network ({names})")
+        names, found = some(list(coverage.views)), f"the image {entry.image!r}"
+        require(entry.image in coverage.views, where, found, f"an image of the network ({names})")
     elif entry.file is None:
         raise InputError(where, "every_s without image", "the image of the network along whose track shots are planned")
     if entry.file is None:
@@ -218,7 +216,7 @@ def _track(coverage: ImageCoverage, entry: CandidateProfile, where: str) -> _Sho
 def _of_lidar(coverage: ImageCoverage, entry: CandidateProfile, path: Path) -> _Shots:
     """Shots of ISIS lidar data that were taken along with one image of the network (or with the one named)."""
     profile = read_lidar(path)
-    require_on_body(profile.footprints, coverage.network.images[0].body, profile.source, profile.ids)
+    require_on_body(profile.footprints, coverage.network.body, profile.source, profile.ids)
     named = sorted(name for name in profile.simultaneous_image.used if name in coverage.views)
     if entry.image is None and len(named) > 1:
         raise InputError(str(path), f"shots simultaneous with {' and '.join(named)}", "one image", _NAME_THE_IMAGE)
@@ -232,7 +230,7 @@ def _of_lidar(coverage: ImageCoverage, entry: CandidateProfile, path: Path) -> _
 def _of_pedr(coverage: ImageCoverage, entry: CandidateProfile, path: Path) -> _Shots:
     """Shots of MOLA that fall in images: those taken along with one of them (or with the one named), if any were."""
     shots, views = read_shots(path), list(coverage.views.values())
-    require_on_body(shots.footprints, coverage.network.images[0].body, shots.source)
+    require_on_body(shots.footprints, coverage.network.body, shots.source)
     images, corrections = [view.image for view in views], [view.correction for view in views]
     hits = footprints_in_images(images, shots, corrections)
     if entry.image is not None:
@@ -251,10 +249,10 @@ def _control(coverage: ImageCoverage, entry: CandidateControl, path: Path, k: in
         raise InputError(where, found, "one of them")
     at = entry.longitude_deg * DEG, entry.latitude_deg * DEG
     if entry.height_m is not None:
-        place = from_geodetic(np.array([*at, entry.height_m]), coverage.network.images[0].body)
+        place = from_geodetic(np.array([*at, entry.height_m]), coverage.network.body)
     else:
         place = from_planetocentric(np.array([[*at, entry.radius_m]]))[0]
-    radius = coverage.network.images[0].body.equatorial
+    radius = coverage.network.body.equatorial
     if abs(float(np.linalg.norm(place)) - radius) > _FAR * radius:
         found = f"a point {np.linalg.norm(place):.6g} m from the body's centre"
         raise InputError(where, found, f"one near the ground, {radius:.6g} m from it", "give metres")

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.geometry.body import Ellipsoid, geodetic, surface_radii
+from mgsgraph.geometry.body import Ellipsoid, ellipsoidal_heights, surface_radii
 from mgsgraph.geometry.footprint import Footprint, footprint, overlaps
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.intersection import meet_terrain
 from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.records import Array, Index, Mask, no_rows
 from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.network.connectivity import network_footprints
 from mgsgraph.network.footprints import visible_places
@@ -86,7 +86,7 @@ class ImageCoverage(Record):
         self.state, self.network = state, network
         self.definitions = definitions(network)
         self.grid = None if network.surface is None else network.surface.grid
-        heights = geodetic(state.places, network.images[0].body)[:, 2]
+        heights = ellipsoidal_heights(state.places, network.body)
         self._height = float(np.median(heights))
         footprints = network_footprints(network, state.places, lambda j: state.correction(network.images[j].name))
         self.views = {
@@ -143,7 +143,7 @@ class ImageCoverage(Record):
 
     def below(self, places: Array, height: float) -> Array:
         """(n, 3) m, the ground below places (n, 3): on the terrain model, or at a height (m) above the ellipsoid."""
-        body = self.network.images[0].body
+        body = self.network.body
         up = unit_vectors(places)
         radius = surface_radii(up, Ellipsoid(body.equatorial + height, body.polar + height))
         if self.grid is not None:
@@ -153,7 +153,7 @@ class ImageCoverage(Record):
 
     def rays(self, points: Array, views: Iterable[OrientedImage]) -> tuple[Index, list[str], Array]:
         """Image places of points (n, 3) in all of these images that show them: point (k,), image, places (k, 2)."""
-        index, names, places = [np.zeros(0, dtype=np.int64)], list[str](), [np.zeros((0, 2))]
+        index, names, places = [no_rows()], list[str](), [np.zeros((0, 2))]
         for view in views:
             some, where = view.shown(points)
             index.append(some)

@@ -13,7 +13,7 @@ from mgsgraph.errors import InputError, WeakNetwork, errors_from, require
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.records import Array
-from mgsgraph.names import image_names
+from mgsgraph.names import image_names, numbered
 from mgsgraph.network import PointClass
 from mgsgraph.network.corrections import designs
 from mgsgraph.network.parts import KnownImage, Unknown, unknowns
@@ -93,7 +93,7 @@ def targets_of(state: NetworkState, names: Sequence[str]) -> Targets:
         if not np.any(chosen):
             raise InputError("target", f"no {'tie ' if names == ('ties',) else ''}point that moves", "another target")
         return Targets(tuple(ids[i] for i in np.flatnonzero(chosen).tolist()), (), names)
-    place, images = {name: i for i, name in enumerate(ids)}, {image.name: j for j, image in enumerate(network.images)}
+    place, images = numbered(ids), numbered(network.image_names)
     with errors_from("target, no determined point"):
         whole = (text if text in place or text in WORDS else image_names([text], list(images))[0] for text in names)
         names = tuple(dict.fromkeys(whole))
@@ -116,7 +116,7 @@ class TargetSigmas:
         out[self._index] = False
         all_rows = np.ones(network.rays.point.size, dtype=bool), np.ones(network.ranges.point.size, dtype=bool)
         self._rows = layout.active(*all_rows, out | ~present.determined)
-        number = {image.name: j for j, image in enumerate(network.images)}
+        number = numbered(network.image_names)
         chosen = [number[name] for name in targets.images]
         images = [KnownImage(network.images[j], network.priors[j]) for j in chosen]
         self._ground = [self._motion(known_image, j) for known_image, j in zip(images, chosen, strict=True)]
@@ -132,7 +132,7 @@ class TargetSigmas:
     def after(self, update: Update) -> Array:
         """(t, 4) m: total, east, north, up of every target after planned measures."""
         points = self._of_points(update.pairs()) if self._index.size else np.zeros((0, 3, 3))
-        place = {name: k for k, name in enumerate(self.targets.points)}
+        place = numbered(self.targets.points)
         ids = update.added.after.network.points.ids
         touched = np.array([i for i, name in enumerate(ids) if name in place], dtype=np.int64)
         if touched.size:

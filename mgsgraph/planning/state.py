@@ -1,6 +1,6 @@
 """Network state from which a plan begins: the adjusted network, linearised at its solution, with its covariance."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,13 +17,15 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import require_covariance
 from mgsgraph.errors import WeakNetwork, errors_from, require
 from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.records import Array, Index, Mask, sigmas_of
 from mgsgraph.kernel.rows import Rows
 from mgsgraph.kernel.sweep import Reduction
+from mgsgraph.names import numbered
 from mgsgraph.network import Network
 from mgsgraph.network.corrections import whole_correction
 from mgsgraph.network.joining import Definitions, definitions, united, with_definitions
 from mgsgraph.network.parts import (
+    ByUnknown,
     KnownImage,
     Unknown,
     alone,
@@ -44,7 +46,7 @@ class NetworkState:
     """Points that have a place, and the rows that take part."""
     settings: SolverSettings
     """Measurement model and loss."""
-    values: Mapping[Unknown, Array]
+    values: ByUnknown
     """Shared unknowns (d,), m and rad; those that are missing are zero."""
     places: Array
     """(n, 3) m, of the points."""
@@ -69,7 +71,7 @@ def joined_networks(networks: Sequence[Network]) -> Network:
 
 
 def correction_of(
-    known: KnownImage, settings: SolverSettings, values: Mapping[Unknown, Array], passes: Definitions
+    known: KnownImage, settings: SolverSettings, values: ByUnknown, passes: Definitions
 ) -> OrientationCorrection:
     """Whole orientation correction of an image at values of unknowns; those that are missing are zero."""
     net, image = with_definitions(alone(known), passes), Unknown("image", known.image.name)
@@ -101,7 +103,7 @@ def state_of_solution(solution: Solution | NetworkState) -> NetworkState:
 
 
 def network_state(
-    network: Network, settings: SolverSettings, values: Mapping[Unknown, Array], places: Array, rays: Mask, ranges: Mask
+    network: Network, settings: SolverSettings, values: ByUnknown, places: Array, rays: Mask, ranges: Mask
 ) -> NetworkState:
     """Leave out of a network what takes no part.
 
@@ -136,7 +138,7 @@ class ReducedNetwork:
     """
 
     def __init__(
-        self, network: Network, settings: SolverSettings, values: Mapping[Unknown, Array], places: Array
+        self, network: Network, settings: SolverSettings, values: ByUnknown, places: Array
     ) -> None:
         self.network, self.names = network, unknowns(network)
         layout = lay_out(network, settings, places)
@@ -165,7 +167,7 @@ class ReducedNetwork:
 
     def columns(self, names: Sequence[Unknown]) -> Index:
         """Columns of some unknowns, one after another."""
-        number = {name: v for v, name in enumerate(self.names)}
+        number = numbered(self.names)
         return self.layout.variables.columns_of_all(number[name] for name in names)
 
     @property
@@ -175,7 +177,7 @@ class ReducedNetwork:
 
     def information(self, names: Sequence[Unknown], priors: bool = False) -> Array:
         """Information matrix (d, d) of some unknowns, all others known, per m and rad; with or without their priors."""
-        layout, number = self.layout, {name: v for v, name in enumerate(self.names)}
+        layout, number = self.layout, numbered(self.names)
         numbers = [number[name] for name in names]
         first = dict(zip(numbers, np.cumsum([0, *(layout.variables.width[v] for v in numbers)]).tolist(), strict=False))
         size = int(sum(layout.variables.width[v] for v in numbers))
@@ -213,13 +215,13 @@ class CurrentState(ReducedNetwork):
         if variables.with_considered:
             self._held = orientation_covariance(graph, self.reduction, consider=False)
         self.considered = [self.names[v] for v in variables.with_considered]
-        self.index_of = {name: i for i, name in enumerate(state.network.points.ids)}
+        self.index_of = numbered(state.network.points.ids)
 
     def held_with(self, names: Sequence[Unknown]) -> Array:
         """Covariance (columns, d), m and rad, of all shared unknowns with some, one after another; considered ones are
         held, as the estimates have them.
         """
-        number = {name: v for v, name in enumerate(self.names)}
+        number = numbered(self.names)
         ones = np.array([number[name] for name in names], dtype=np.int64)
         return self._held.square_root.cross(ones, self._held.adjusted).T
 
@@ -274,7 +276,7 @@ class Update:
         inside = np.flatnonzero(position >= 0)
         added = self.added.root @ self.added.root.T
         after[np.ix_(position[inside], position[inside])] += added[np.ix_(inside, inside)]
-        scale = 1.0 / np.sqrt(np.diagonal(before))
+        scale = 1.0 / sigmas_of(before)
         logs = [np.linalg.slogdet(matrix * scale[:, None] * scale)[1] for matrix in (before, after)]
         return self.bits - float(0.5 * (logs[1] - logs[0]) / np.log(2.0))
 
@@ -367,7 +369,7 @@ def updated(present: CurrentState, adds: AddedInformation) -> Update:
 
 def _positions(network: ReducedNetwork, among: Sequence[Unknown], some: Sequence[Unknown]) -> Index:
     """(d,) positions of the columns of some unknowns among the columns of others; -1 for none."""
-    number = {column: k for k, column in enumerate(network.columns(among).tolist())}
+    number = numbered(network.columns(among).tolist())
     return np.array([number.get(column, -1) for column in network.columns(some).tolist()], dtype=np.int64)
 
 

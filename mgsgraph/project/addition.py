@@ -23,10 +23,11 @@ from mgsgraph.geometry.altimetry import LaserProfile, require_on_body
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.plausibility import ImageTimes, require_distinct, simultaneous_starts
 from mgsgraph.geometry.records import Index, Mask
+from mgsgraph.names import numbered
 from mgsgraph.network import Network, PointClass, ProfileShifts, Surface
 from mgsgraph.network.common import common_heights
 from mgsgraph.network.duplicates import duplicates
-from mgsgraph.network.joining import Definitions, definitions, joining, seconds, united, with_definitions
+from mgsgraph.network.joining import Definitions, definitions, joining, seconds, spans, united, with_definitions
 from mgsgraph.network.observations import build_network, over_terrain
 from mgsgraph.network.parts import KnownImage, joined, known_images, select_points, with_images
 from mgsgraph.project.decisions import Decisions, decided, measured_by_users
@@ -85,8 +86,7 @@ def parse_image(text: str) -> ImageArgument:
     name, sign, path = text.partition("=")
     if not sign or Path(text).exists():
         return ImageArgument(Path(text))
-    if not name.strip() or not name.isprintable():
-        raise InputError(repr(text), "an empty or unprintable name before '='", "NAME=FILE")
+    require(name.strip() and name.isprintable(), repr(text), "an empty or unprintable name before '='", "NAME=FILE")
     return ImageArgument(Path(path), name)
 
 
@@ -158,7 +158,7 @@ def read_addition(
         network = joined(networks)
         notes += _notes_on_duplicates(network, store)
         connected_names = _connected_images(network, store)
-        names = [image.name for image in network.images]
+        names = network.image_names
         network = with_images(network, [by_name[name] for name in dict.fromkeys([*names, *_names(new_images)])])
     unconnected = tuple(name for name in _names(new_images) if name not in connected_names)
     return Addition(
@@ -190,7 +190,7 @@ def _new_measurements(
 
 def _seen_by(network: Network, names: Sequence[str]) -> list[Network]:
     """The points of a network that some of its images see or range, with all their measurements; none without any."""
-    chosen, rays, ranges = np.isin([image.name for image in network.images], names), network.rays, network.ranges
+    chosen, rays, ranges = np.isin(network.image_names, names), network.rays, network.ranges
     points = np.union1d(rays.point[chosen[rays.image]], ranges.point[chosen[ranges.image]])
     return [select_points(network, points)] if points.size else []
 
@@ -205,7 +205,7 @@ def _notes_on_passes(stored: Definitions, images: Sequence[PushbroomImage], stor
     """Sentences about images with their own orientation that were taken during a pass of the project."""
     notes = list[str]()
     for pass_ in stored.passes.values():
-        pass_intervals = np.array([seconds(store.image(name).image) for name in pass_.images])
+        pass_intervals = spans(store.image(name).image for name in pass_.images)
         for image in images:
             start, stop = seconds(image)
             if np.any((pass_intervals[:, 0] < stop) & (start < pass_intervals[:, 1])):
@@ -397,7 +397,7 @@ def new_measurements_only(network: Network, store: ProjectStore) -> Network | No
         return network
     old = joined([store.bundle(members).network for members in dict.fromkeys(bundles.values())])
     network = network.independent
-    row_of_point = {name: row for row, name in enumerate(old.points.ids)}
+    row_of_point = numbered(old.points.ids)
     old_rows = np.array([row_of_point.get(name, -1) for name in network.points.ids])
     points, old_points, old_row = network.points, old.points, np.maximum(old_rows, 0)
     is_known = (old_rows >= 0) & (points.kinds <= old_points.kinds[old_row])  # else the new prior is stronger

@@ -37,7 +37,7 @@ from mgsgraph.record import Record
 from mgsgraph.workers import no_progress
 
 if TYPE_CHECKING:
-    from mgsgraph.adjustment.rounds import Progress
+    from mgsgraph.adjustment.settings import Progress
     from mgsgraph.adjustment.solution import Solution
     from mgsgraph.results.tables import TableForm
 

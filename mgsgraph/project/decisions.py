@@ -136,7 +136,7 @@ def decided(network: Network, decisions: Decisions) -> Network | None:
     """A network as it comes from files, changed by what stands of the decisions about its points: removed tie and
     control points and rejected measurements go, others take the user's coordinates; None where nothing is left.
     """
-    ids, rays, names = network.points.ids, network.rays, [image.name for image in network.images]
+    ids, rays, names = network.points.ids, network.rays, network.image_names
     numbers = ids.find(list(decisions)).tolist()
     about = {number: of for number, of in zip(numbers, decisions.values(), strict=True) if number >= 0}
     if not about:
@@ -202,7 +202,7 @@ def measured_by_users(
     """Measurements by users in images that come (back) into a project, without those that networks bring with them."""
     given = set[tuple[str, str]]()
     for network in networks:
-        points, names = network.points.ids, [image.name for image in network.images]
+        points, names = network.points.ids, network.image_names
         decided_rows = np.flatnonzero(np.isin(network.rays.point, points.find(list(decisions))))
         rows = zip(network.rays.point[decided_rows].tolist(), network.rays.image[decided_rows].tolist(), strict=True)
         given |= {(points[i], names[j]) for i, j in rows}

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 
 from mgsgraph.adjustment.incremental.state import ImagesByName
 from mgsgraph.geometry.records import Array
-from mgsgraph.names import Names
+from mgsgraph.names import Names, grouped
 from mgsgraph.network import GroundPoints, ImageRays, Network, ProfileShifts, Ranges, Surface
 from mgsgraph.network.joining import Definitions, with_definitions
-from mgsgraph.network.parts import KnownImage, Members, image_columns, joined, select_points
+from mgsgraph.network.parts import KnownImage, image_columns, joined, select_points
 from mgsgraph.network.records import StereoControl
 from mgsgraph.project.project import Project
 from mgsgraph.project.store import ProjectStore
@@ -91,9 +91,7 @@ def former_content(
 
 def network_of_points(store: ProjectStore, points: Iterable[str]) -> Network | None:
     """Those of some points that a project has, with all of their measurements; None where it has none of them."""
-    names_of = dict[Members, list[str]]()
-    for name, members in store.bundles_of(points).items():
-        names_of.setdefault(members, []).append(name)
+    names_of = grouped((members, name) for name, members in store.bundles_of(points).items())
     parts = [
         select_points(with_definitions(store.bundle(members).network, Definitions()), names)
         for members, names in names_of.items()
@@ -108,7 +106,7 @@ def _former_points(store: ProjectStore, points: Names) -> FormerPoints | None:
     surface, grids = network.surface, (None if network.surface is None else network.surface.grid, network.areoid)
     terrain, areoid = (0 if grid is None else store.grid_number(grid) for grid in grids)
     return FormerPoints(
-        tuple(image.name for image in network.images), network.points, network.rays, network.ranges, network.shifts,
+        tuple(network.image_names), network.points, network.rays, network.ranges, network.shifts,
         None if surface is None else surface.sigmas, terrain, 0.0 if surface is None else surface.shift_sigma,
         areoid, network.stereo, network.considered,
     )  # fmt: skip

@@ -15,7 +15,7 @@ import msgspec
 
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.atomic_write import made_beside, put_in_place, resolved
-from mgsgraph.errors import InputError, errors_from
+from mgsgraph.errors import InputError, errors_from, require
 from mgsgraph.files.opening import understood
 from mgsgraph.files.output.folders import PROJECT
 from mgsgraph.files.writing import account, writing_to
@@ -482,8 +482,7 @@ def open_project(
 
 
 def _require_free(target: Path, shown: str) -> None:
-    if target.exists() and not target.is_dir():
-        raise InputError(shown, "exists and is a file", "a folder for the project", _ANOTHER)
+    require(not target.exists() or target.is_dir(), shown, "exists and is a file", "a folder for the project", _ANOTHER)
     if target.is_dir() and any(target.iterdir()):
         raise InputError(shown, "exists and is not empty", "an absent or empty folder", _ANOTHER)
 

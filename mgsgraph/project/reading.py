@@ -22,7 +22,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Mask
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.geometry.trajectory import tdb_of_utc
-from mgsgraph.names import image_names
+from mgsgraph.names import image_names, numbered
 from mgsgraph.network.footprints import Corrections, Registration, footprints_in_images
 from mgsgraph.network.parts import unknowns
 from mgsgraph.project.project import CHANGING, Project, open_project
@@ -262,25 +262,22 @@ def oriented_images(path: Path, names: Sequence[str] = ()) -> OrientedImages:
     if (path / PROJECT).is_file() or (path / ARCHIVE).is_file() or path.suffix == ".npz":
         results = results_of(path)
         solution = read_solution(results.folder)
-        chosen = _numbers_of([image.name for image in solution.network.images], names, path)
+        chosen = _numbers_of(solution.network.image_names, names, path)
         warning = results.warning if solution.converged else f"The adjustment has NOT converged: {solution.message}"
         return OrientedImages(tuple(View.adjusted(solution, j) for j in chosen), warning)
     case_input = decode(path)
     known = [image.name for image in case_input.images]
     if names:
-        images = [_read_image(case_input, j, path) for j in _numbers_of(known, names, path)]
+        images = [case_input.orientations[j].nominal_of(image_of(case_input, j, path))
+                  for j in _numbers_of(known, names, path)]  # fmt: skip
     else:
         images = [*read_images(case_input, case_input.orientations, members(case_input.passes, known, str(path)), path)]
     return OrientedImages(tuple(map(View, images)), case=case_input)
 
 
-def _read_image(case_input: CaseInput, index: int, path: Path) -> PushbroomImage:
-    return case_input.orientations[index].nominal_of(image_of(case_input, index, path))
-
-
 def _numbers_of(known_names: Sequence[str], names: Sequence[str], path: Path) -> list[int]:
     """Indices of the images of these names, each once; of all without names."""
-    numbers = {name: index for index, name in enumerate(known_names)}
+    numbers = numbered(known_names)
     with errors_from(str(path)):
         return [numbers[name] for name in image_names(names, known_names)] if names else list(numbers.values())
 
@@ -357,8 +354,7 @@ def _interval(dates: tuple[str, str]) -> tuple[float, float]:
     texts = [text.strip() + "T00:00:00"[len(text.strip()) - _DATE :] for text in dates]
     first, last = tdb_of_utc(texts, "dates").tolist()
     last += _DAY if len(dates[1].strip()) == _DATE else 0.0
-    if first > last:
-        raise InputError("dates", f"{dates[0]} after {dates[1]}", "FROM before TO")
+    require(first <= last, "dates", f"{dates[0]} after {dates[1]}", "FROM before TO")
     return first, last
 
 

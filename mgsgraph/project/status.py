@@ -7,6 +7,7 @@ import numpy as np
 
 from mgsgraph.errors import command_line
 from mgsgraph.files.opening import understood
+from mgsgraph.names import numbered
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import groups
 from mgsgraph.project.connection import EXPECTED_PROJECT, RESTORE_COPY
@@ -67,7 +68,7 @@ def _passes(project: Project) -> list[str]:
 
 def islands(names: list[str], bundles: list[tuple[str, int, int]]) -> list[list[str]]:
     """Images that are connected by common points, largest island first; `bundles` as `Project.bundle_images`."""
-    index_of_name, of_bundle = {name: j for j, name in enumerate(names)}, defaultdict[int, list[int]](list)
+    index_of_name, of_bundle = numbered(names), defaultdict[int, list[int]](list)
     for name, bundle, _ in bundles:
         of_bundle[bundle].append(index_of_name[name])
     pairs = [pair for images in of_bundle.values() for pair in pairwise(images)]
@@ -87,8 +88,8 @@ def _connections(project: Project, names: list[str]) -> list[str]:
     elif connected_groups:
         sizes = ", ".join(str(len(island)) for island in connected_groups)
         lines.append(f"Images connected by common points: {many(len(connected_groups), 'group')} ({sizes} images).")
-    lines += [f"Apart from the largest group: {some(island, len(island), _NAMED)}." for island in connected_groups[1:]]
-    return [*lines, *([f"Unconnected images: {some(alone, len(alone), _NAMED)}."] if alone else [])]
+    lines += [f"Apart from the largest group: {some(island, most=_NAMED)}." for island in connected_groups[1:]]
+    return [*lines, *([f"Unconnected images: {some(alone, most=_NAMED)}."] if alone else [])]
 
 
 def _solutions(project: Project, images: bool) -> list[str]:

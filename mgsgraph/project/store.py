@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from mgsgraph.adjustment.incremental.state import Bundle, ReducedSystem, Shared
+from mgsgraph.adjustment.incremental.state import Bundle, Bundles, ReducedSystem, Shared
 from mgsgraph.errors import InputError, require
 from mgsgraph.files.output.folders import PROJECT
 from mgsgraph.geometry.records import Array, Index
@@ -199,7 +199,7 @@ class ProjectStore:
         system = None if reduced[0] is None else _reduced(_members(reduced[0]), *reduced[1:])
         return Bundle(network, system, points_read.places, points_read.covariances)
 
-    def replace(self, removed: Iterable[Members], new: Mapping[Members, Bundle]) -> None:
+    def replace(self, removed: Iterable[Members], new: Bundles) -> None:
         """Delete bundles (`removed`) and store new ones."""
         self._names = None
         for members in removed:
@@ -209,7 +209,7 @@ class ProjectStore:
             self._insert(members, bundle)
         self._grids.delete_unused()
 
-    def renew(self, bundles: Mapping[Members, Bundle]) -> None:
+    def renew(self, bundles: Bundles) -> None:
         """Store new reduced systems and positions of bundles whose points stay the same."""
         for members, bundle in bundles.items():
             self._bundles.pop(members, None)
@@ -230,7 +230,7 @@ class ProjectStore:
         network, connection = bundle.network, self._connection
         surface = network.surface
         (number,) = self._row("SELECT coalesce(max(seq), 0) + 1 FROM sqlite_sequence WHERE name = 'bundle'")
-        images = self._numbers_of(tuple(image.name for image in network.images))
+        images = self._numbers_of(tuple(network.image_names))
         points, rays, ranges = network.points, network.rays, network.ranges
         sigmas = np.full(len(points), np.inf) if surface is None else surface.sigmas
         self._cells.write_names(number, points.ids)

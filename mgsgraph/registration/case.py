@@ -16,6 +16,7 @@ from mgsgraph.files.networks.tie_points import TiePoints
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
+from mgsgraph.names import numbered
 from mgsgraph.network.footprints import (
     Corrections,
     Misregistration,
@@ -109,7 +110,7 @@ def register_case(case: Case, solution: Solution | None = None) -> CaseRegistrat
     after: tuple[ProfileRegistration, ...] = ()
     if solution is not None:
         adjusted, corrections = _of_solution(case, solution)
-        rows = {name: row for row, name in enumerate(solution.network.points.ids)}
+        rows = numbered(solution.network.points.ids)
         after = tuple(
             _register(name, adjusted, shots, _adjusted_places(name, shots, solution, rows), corrections, case.ties)
             for name, shots in zip(names, case.profiles, strict=True)
@@ -166,7 +167,7 @@ def _not_compared(profiles: tuple[ProfileRegistration, ...], ties: TiePoints | N
 
 def _of_solution(case: Case, solution: Solution) -> tuple[tuple[PushbroomImage, ...], Corrections]:
     """The case's images as they were adjusted, and their corrections."""
-    rows = {image.name: j for j, image in enumerate(solution.network.images)}
+    rows = numbered(solution.network.image_names)
     for image in case.network.images:
         row = rows.get(image.name)
         if row is None:

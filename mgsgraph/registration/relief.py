@@ -27,7 +27,7 @@ from mgsgraph.case.scene import picture_file
 from mgsgraph.compiled import in_threads
 from mgsgraph.errors import InputError, errors_from, require
 from mgsgraph.geometry.body import east_north
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, sigmas_of
 from mgsgraph.geometry.stereo_surface import SurfaceHeights, heights_above
 from mgsgraph.names import image_names
 from mgsgraph.network import TERRAIN, Network, PointClass
@@ -230,7 +230,7 @@ def _require_profiles(case: Case) -> None:
 
 def _require_pictures(case: Case, settings: ReliefSettings) -> None:
     """Raise InputError unless a case has the necessary images and pixels; called before long work."""
-    names = [image.name for image in case.network.images]
+    names = case.network.image_names
     with errors_from(str(case.path)):
         image_names(settings.images, names)
     require(len(names) >= 2, str(case.path), "one image", "two that overlap, at least")
@@ -243,14 +243,13 @@ def _require_same(case: Case, before: Solution) -> None:
     """Raise InputError unless a solution has the images and the profiles of a case."""
     networks = case.network, before.network
     for what, (wanted, found) in (
-        ("images", [[image.name for image in network.images] for network in networks]),
+        ("images", [network.image_names for network in networks]),
         ("laser profiles of unknown shift", [list(profile_names(network)) for network in networks]),
     ):
         if wanted != found:
-            names = some(found, len(found)) if found else "none"
             raise InputError(
-                f"solution {before.name!r}", f"other {what} ({names})",
-                f"those of the case ({some(wanted, len(wanted))})", "adjust the case again, or give the case itself",
+                f"solution {before.name!r}", f"other {what} ({some(found) or 'none'})",
+                f"those of the case ({some(wanted)})", "adjust the case again, or give the case itself",
             )  # fmt: skip
 
 
@@ -295,7 +294,7 @@ class _SearchedProfile:
         if not before.cost.clear:
             return False
         near = [
-            np.all(np.abs(minimum.shift) <= np.maximum(3.0 * np.sqrt(np.diag(minimum.covariance)), _NEAR))
+            np.all(np.abs(minimum.shift) <= np.maximum(3.0 * sigmas_of(minimum.covariance), _NEAR))
             for minimum in self.cost.minima
             if minimum.weight > _LIKELY
         ]

@@ -12,7 +12,7 @@ from mgsgraph.case.case_file import decode
 from mgsgraph.case.scene import read_scene
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import SPOT_WIDTHS
-from mgsgraph.geometry.body import geodetic
+from mgsgraph.geometry.body import ellipsoidal_heights
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.stereo_surface import LEAST_SHARE, StereoSurface, averaged_surface
 from mgsgraph.matching.scene import Scene
@@ -78,7 +78,7 @@ def _ground_pixel(posterior: Posterior, image: int, place: Array | None = None) 
     picture = posterior.image(image)
     line, sample = place if place is not None else 0.5 * np.array([picture.lines, picture.samples])
     points = posterior.linearised.points
-    ground = geodetic(points[np.linalg.norm(points, axis=1) > 0.0], picture.body)[:, 2]
+    ground = ellipsoidal_heights(points[np.linalg.norm(points, axis=1) > 0.0], picture.body)
     at = np.array([line]), np.array([sample])
     slopes = picture.image_to_ground(*at, float(np.median(ground)), posterior.correction(image))[1]
     return np.asarray(np.linalg.norm(slopes[0], axis=0), dtype=np.float64)

@@ -302,11 +302,10 @@ def _moved(pair: StereoPair, footprints: Array, sigmas: Array, most: int) -> _Mo
     visible = np.all([np.isfinite(places[:, 0]) for places, _ in by_image], axis=0)
     points = points[visible]
     (places, by_point), (other_places, other_by_point) = ((part[visible] for part in view) for view in by_image)
-    ways = np.swapaxes(east_north(points), 1, 2)
+    ways = east_north(points).mT
     up = unit_vectors(points)
     rays = -pair.images[0].sightlines(places[:, 0], places[:, 1], pair.corrections[0])[1]
-    epipolar = np.einsum("nij,nj->ni", other_by_point, rays)
-    epipolar /= np.linalg.norm(epipolar, axis=1, keepdims=True)
+    epipolar = unit_vectors(np.einsum("nij,nj->ni", other_by_point, rays))
     _, slopes = pair.surface.disparity(places)
     parallax = np.einsum("ni,nij,nj->n", epipolar, other_by_point - slopes @ by_point, up)
     number = rows[visible].astype(np.float64)

@@ -22,7 +22,8 @@ from mgsgraph.analysis.weak import weakest
 from mgsgraph.errors import InputError, require
 from mgsgraph.files.output.folders import ANALYSIS
 from mgsgraph.files.output.table import Column, Table, numbers, picked
-from mgsgraph.geometry.records import Index
+from mgsgraph.geometry.records import Index, joined_rows
+from mgsgraph.names import grouped
 from mgsgraph.results.answers import Questions, curve_section, raster_section, replies
 from mgsgraph.results.ground import leave_out_section
 from mgsgraph.results.section import Section, record_of, sheets_by, table_of, write_sections
@@ -70,7 +71,7 @@ def suspects_table(tests: Reliability, suspected: Sequence[Suspect]) -> Table:
         f"{'= ' if k else ''}{tests.name(int(measure))} {mark if not k else ''}"
         for mark, group in zip(marks, groups, strict=True) for k, measure in enumerate(group)
     ]
-    table = reliability_table(tests, np.concatenate([np.zeros(0, dtype=np.int64), *groups]))
+    table = reliability_table(tests, joined_rows(groups))
     named = Column("name", names, label="measurement (=: inseparable from the one above)", text="<", gap=2)
     return replace(table, columns=(*table.columns, named))
 
@@ -89,7 +90,7 @@ def outliers_section(tests: Reliability) -> Section:
     for k in order[last_of_image].tolist():
         largest[image_of[k]], largest_point[image_of[k]] = abs_test[k], network.points.ids[measures.point[rays[k]]]
     table = table_of("outliers", {
-        "image": [image.name for image in network.images], "measurements": ray_counts,
+        "image": network.image_names, "measurements": ray_counts,
         "left_out": ray_counts - np.bincount(image_of, minlength=image_count) // 2,
         "over": np.bincount(image_of[abs_test > tests.critical], minlength=image_count),
         "expected": tests.levels.alpha * np.bincount(image_of, minlength=image_count), "largest": largest,
@@ -102,7 +103,7 @@ def reliability_table(tests: Reliability, rows: Index | None = None) -> Table:
     """One row per scalar measure, or per those with indices `rows`, the largest test first; units in `unit`."""
     measures, order = tests.measures, tests.order(len(tests)) if rows is None else rows
     points = [*tests.at.network.points.ids, ""]  # the last one is that of row -1
-    images = [*(image.name for image in tests.at.network.images), ""]
+    images = [*tests.at.network.image_names, ""]
 
     def finite(values: np.ndarray) -> np.ndarray:
         return np.where(np.isfinite(values), values, np.nan)[order]
@@ -227,9 +228,8 @@ def write_analysis(name: str, sections: Iterable[Section], folder: Path, figures
     InputError
         If the folder holds anything else than an earlier analysis, or can't be written.
     """
-    record, sections = dict[str, Any](), list(sections)
-    for section in sections:
-        record.setdefault(section.name, []).append(section.numbers)
+    sections = list(sections)
+    record = grouped((section.name, section.numbers) for section in sections)
     return write_sections(sections, {"format": 1, "name": name, **record}, folder, ANALYSIS, figures)
 
 

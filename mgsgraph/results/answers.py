@@ -163,12 +163,6 @@ def _correlation_section(joint: Estimate) -> Section:
 
 
 
-def _table_name(image: str, number: int) -> str:
-    """File name for an image: its name, made safe, then with its number, since two safe names may be equal."""
-    stem = file_stem(image)
-    return f"sigmas_{stem}" if stem == image else f"sigmas_{stem}_{number + 1}"
-
-
 def curve_section(posterior: Posterior, image: str) -> Section:
     """Sigmas of the orientation along an image's lines."""
     image_index = posterior.network.image_number(image)
@@ -180,8 +174,9 @@ def curve_section(posterior: Posterior, image: str) -> Section:
         Column(f"sigma_{axis}", values[:, k], unit, label=axis, text=">9.4g")
         for unit, values, axes in units for k, axis in enumerate(axes)
     ]  # fmt: skip
-    file = _table_name(image, image_index)
-    table = Table(file, f"Sigmas along image {image}", (
+    stem = file_stem(image)
+    stem += "" if stem == image else f"_{image_index + 1}"  # two safe names may be equal
+    table = Table(f"sigmas_{stem}", f"Sigmas along image {image}", (
         *columns_of("curves", {"image": [image] * lines.size, "line": lines}), *columns,
     ))  # fmt: skip
 
@@ -193,7 +188,7 @@ def curve_section(posterior: Posterior, image: str) -> Section:
 def raster_section(posterior: Posterior, images: tuple[str, ...], cell: float | None, sigma: float) -> Section:
     """Sigmas of new points, measured to `sigma` px, over the overlap of images (all when empty); cells of `cell` m."""
     grid = sigma_grid(posterior, images, cell, sigma)
-    body = posterior.network.images[0].body
+    body = posterior.network.body
 
     _, rows, columns = grid.values.shape
     record = {

@@ -58,11 +58,15 @@ _VERSION, _RECORD = "format", "record"
 
 def pack(record: Any) -> bytes:
     """A record as the bytes of an .npz file; the same record gives the same bytes."""
+    file = io.BytesIO()
+    np.savez(file, **_members(record))  # type: ignore[arg-type]  # NumPy's stub takes any name for allow_pickle
+    return file.getvalue()
+
+
+def _members(record: Any) -> Arrays:
     arrays: Arrays = {}
     text = json.dumps(to_arrays(record, "", arrays), allow_nan=False)
-    file = io.BytesIO()
-    np.savez(file, record=np.frombuffer(text.encode(), dtype=np.uint8), **arrays)  # type: ignore[arg-type]
-    return file.getvalue()
+    return {"record": np.frombuffer(text.encode(), dtype=np.uint8), **arrays}
 
 
 def unpack(data: bytes, kind: type[Kind], where: str) -> Kind:
@@ -286,11 +290,8 @@ _SHAPES = {
 
 def write_archive(solution: "Solution", path: Path) -> None:
     """Write a solution to an .npz file."""
-    arrays: Arrays = {}
-    record = json.dumps(to_arrays(solution, "", arrays), allow_nan=False)
-    head = {"format": np.array(FORMAT), "record": np.frombuffer(record.encode(), dtype=np.uint8)}
     with path.open("wb") as file:
-        np.savez(file, **head, **arrays)  # type: ignore[arg-type]  # NumPy's stub takes any name for allow_pickle
+        np.savez(file, format=np.array(FORMAT), **_members(solution))  # type: ignore[arg-type]  # as in `pack`
 
 
 def read_solution(path: str | Path) -> "Solution":
@@ -363,5 +364,4 @@ def _require_shapes(solution: "Solution") -> None:
         if (value := getattr(solution, name)) is not None
     }  # fmt: skip
     for name, arrays in (numbers | {"places": [solution.places[solution.determined]]}).items():
-        if not all(np.all(np.isfinite(array)) for array in arrays):
-            raise InputError(name, "not a number", "finite numbers", _READJUST)
+        require(all(np.all(np.isfinite(array)) for array in arrays), name, "not a number", "finite numbers", _READJUST)

@@ -15,7 +15,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.files.output.table import Column, Table, cut, picked
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.names import Names
+from mgsgraph.names import Names, numbered
 from mgsgraph.network import Network, PointClass
 from mgsgraph.record import Record
 from mgsgraph.results.results import figures_of_merit
@@ -101,13 +101,13 @@ def compare(solution: Solution, earlier: Solution, labels: tuple[str, str] = ("e
 
 def common_images(solution: Solution, earlier: Solution) -> list[tuple[int, int]]:
     """Numbers of each common image in both solutions; InputError where there is none, or one has other pixels."""
-    rows = {image.name: j for j, image in enumerate(earlier.network.images)}
+    rows = numbered(earlier.network.image_names)
     common = [(j, rows[image.name]) for j, image in enumerate(solution.network.images) if image.name in rows]
     if not common:
-        names = [image.name for image in solution.network.images]
+        names = solution.network.image_names
         raise InputError(
-            f"solution {earlier.name!r}, to be compared with", "no image in common",
-            f"some of {some(names, len(names))}", "compare solutions of the same images",
+            f"solution {earlier.name!r}, to be compared with", "no image in common", f"some of {some(names)}",
+            "compare solutions of the same images",
         )  # fmt: skip
     for j, i in common:
         later_image, earlier_image = solution.network.images[j], earlier.network.images[i]
@@ -145,7 +145,7 @@ def orientation_difference(solution: Solution, j: int, earlier: Solution, i: int
     """
     lines = np.linspace(0.0, float(solution.network.images[j].lines), PLACES)
     poses = [fit.network.images[k].pose(lines, fit.correction(k)) for fit, k in ((solution, j), (earlier, i))]
-    rotations = -rotation.logarithm(poses[0].matrix @ np.swapaxes(poses[1].matrix, 1, 2))
+    rotations = -rotation.logarithm(poses[0].matrix @ poses[1].matrix.mT)
     profiles = [orientation_profile(fit, k, PLACES) for fit, k in ((solution, j), (earlier, i))]
     sigmas = [np.concatenate([profile.position_sigma, profile.rotation_sigma], axis=1) for profile in profiles]
     differences = np.concatenate([poses[0].position - poses[1].position, rotations], axis=1)
@@ -259,7 +259,7 @@ def input_section(earlier: Solution, solution: Solution, labels: tuple[str, str]
     """Measures and a-priori sigmas that differ, by the names of points and images."""
     networks = earlier.network, solution.network
     (only_earlier, only_later), later_rows, at_other_pixel, with_other_sigma = _common_measures(*networks)
-    rows = {image.name: j for j, image in enumerate(networks[0].images)}
+    rows = numbered(networks[0].image_names)
     common = [(rows[image.name], j) for j, image in enumerate(networks[1].images) if image.name in rows]
     earlier_index, later_index = np.array(common, dtype=np.int64).reshape(-1, 2).T
     prior_differs = np.array([_priors_differ(*networks, i, j) for i, j in common], dtype=bool)
@@ -285,7 +285,7 @@ def input_section(earlier: Solution, solution: Solution, labels: tuple[str, str]
     ]
     if np.any(prior_differs):
         names = [networks[1].images[j].name for j in later_index[prior_differs].tolist()]
-        sentences.append(f"Images of other a-priori sigmas: {some(names, len(names))}.")
+        sentences.append(f"Images of other a-priori sigmas: {some(names)}.")
     return Section("inputs", sentences=[*sentences, *_unshared_sentences(*networks)], tables=[table])
 
 
@@ -293,7 +293,7 @@ def _unshared_sentences(earlier: Network, later: Network) -> Iterator[str]:
     """Sentences about names that only the earlier, or only the later of two networks has."""
     networks = earlier, later
     for kind, names in (
-        ("Images", [[image.name for image in network.images] for network in networks]),
+        ("Images", [network.image_names for network in networks]),
         ("Shared unknowns", [[unknown.name for unknown in network.shared] for network in networks]),
         ("Shifts of profiles and terrain models", [list(network.shift_names) for network in networks]),
         ("Passes", [[pass_.name for pass_ in network.passes] for network in networks]),
@@ -301,7 +301,7 @@ def _unshared_sentences(earlier: Network, later: Network) -> Iterator[str]:
         earlier_names, later_names = map(dict.fromkeys, names)
         added, removed = [name for name in later_names if name not in earlier_names], [name for name in earlier_names
                                                                                        if name not in later_names]
-        parts = [f"{word}: {some(each, len(each))}" for word, each in (("new", added), ("removed", removed)) if each]
+        parts = [f"{word}: {some(each)}" for word, each in (("new", added), ("removed", removed)) if each]
         if parts:
             yield f"{kind} that only one of both has, {'; '.join(parts)}."
 
@@ -312,7 +312,7 @@ def _common_measures(earlier: Network, later: Network) -> tuple[tuple[int, int],
     """
     networks = earlier, later
     _, point_numbers = Names.united([Names.of(network.points.ids) for network in networks])
-    united, image_numbers = Names.united([Names.of([image.name for image in network.images]) for network in networks])
+    united, image_numbers = Names.united([Names.of(network.image_names) for network in networks])
     keys = [of_point[network.rays.point] * len(united) + of_image[network.rays.image]
             for network, of_point, of_image in zip(networks, point_numbers, image_numbers, strict=True)]  # fmt: skip
     _, before, after = np.intersect1d(keys[0], keys[1], return_indices=True)

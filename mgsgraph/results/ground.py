@@ -15,7 +15,7 @@ from mgsgraph.analysis.statistics import laser_gain, point_statistics, range_sta
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.files.output.table import Table, numbers
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, sigmas_of
 from mgsgraph.names import Names
 from mgsgraph.network import Network, PointClass
 from mgsgraph.network.observations import Coverage, coverage
@@ -264,7 +264,7 @@ def control_section(solution: Solution) -> Section:
 
 def _shifts_table(solution: Solution) -> Table:
     names = solution.network.shift_names
-    sigmas = [np.sqrt(np.diag(solution.shift_covariance(p))) for p in range(len(names))]
+    sigmas = [sigmas_of(solution.shift_covariance(p)) for p in range(len(names))]
     return table_of("shifts", {
         "name": names, "east_north": np.array([solution.shifts[p] for p in range(len(names))]).reshape(-1, 2),
         "sigma_east_north": np.array(sigmas).reshape(-1, 2), "considered": np.isin(names, solution.network.considered),
@@ -274,7 +274,7 @@ def _shifts_table(solution: Solution) -> Table:
 def _shift_sentence(solution: Solution, shift: int) -> str:
     """By how much footprints, or a terrain model, were moved, with sigmas."""
     network, name = solution.network, solution.network.shift_names[shift]
-    sigmas = np.sqrt(np.diag(solution.shift_spread(shift)))
+    sigmas = sigmas_of(solution.shift_spread(shift))
     if name in network.considered:
         return f"{name}: its shift is considered, not estimated; its sigma of {sigmas[0]:.1f} m is part of all sigmas."
     clauses = [
@@ -293,7 +293,7 @@ def stereo_heights(solution: Solution) -> Array:
 
 def _lift_json(solution: Solution, shift: int) -> dict[str, Any]:
     """Value and sigma of the terrain model's height and tilts, of those that are unknowns."""
-    sigmas = np.sqrt(np.diag(solution.shift_spread(shift))).tolist()
+    sigmas = sigmas_of(solution.shift_spread(shift)).tolist()
     pair = zip(solution.shift_values[shift].tolist(), sigmas, strict=True)
     pair_of_term = {term.name: pair for term, pair in zip(solution.network.shift_terms[shift], pair, strict=True)}
     record = dict(zip(("up_m", "sigma_up_m"), pair_of_term.get("upward shift", ()), strict=False))
@@ -318,13 +318,9 @@ def minima_section(minima: Minima | None) -> Section:
     table = _minima_table(minima)
     return Section("minima", sentences=[sentence], tables=[table], numbers={
         "starts": minima.starts, "not_converged": minima.lost, "number": len(minima.each),
-        "shift_mean_east_north_m": minima.mean[:2], "shift_sigma_east_north_m": _horizontal_sigmas(minima.covariance),
+        "shift_mean_east_north_m": minima.mean[:2], "shift_sigma_east_north_m": sigmas_of(minima.covariance)[:2],
         "each": table.records(),
     })  # fmt: skip
-
-
-def _horizontal_sigmas(covariance: Array) -> Array:
-    return np.sqrt(np.diagonal(covariance)[:2])
 
 
 def _minima_table(minima: Minima) -> Table:
@@ -332,5 +328,5 @@ def _minima_table(minima: Minima) -> Table:
     all_minima = minima.each
     return table_of("minima", {
         "shift_east_north": np.array([minimum.shift[:2] for minimum in all_minima]),
-        "sigma_east_north": np.array([_horizontal_sigmas(minimum.spread) for minimum in all_minima]),
+        "sigma_east_north": np.array([sigmas_of(minimum.spread)[:2] for minimum in all_minima]),
     }, all_minima)  # fmt: skip

@@ -22,8 +22,9 @@ from mgsgraph.geometry.altimetry import require_on_body
 from mgsgraph.geometry.footprint import eastward_bounds, footprint, overlaps
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, by_value, finite_rows, sigmas_of
 from mgsgraph.geometry.trajectory import utc_of_tdb
+from mgsgraph.names import grouped
 from mgsgraph.network import Network, NodePrior, Pass, PointClass, SharedKind
 from mgsgraph.network.connectivity import (
     WEAKEST,
@@ -125,7 +126,7 @@ def _expected_precision(network: Network, prediction: Prediction) -> Iterator[st
             continue
         sigmas = np.median(local_sigmas(prediction.covariances[determined], prediction.places[determined]), axis=0)
         residuals = prediction.residuals[np.isin(network.rays.point, determined)]
-        finite = residuals[np.all(np.isfinite(residuals), axis=1)]
+        finite = residuals[finite_rows(residuals)]
         fit = ", before adjustment: residuals {} x {} px (rms)".format(*map(two, root_mean_square(finite, 0).tolist()))
         yield (
             f"{points.size} {name}{fit if finite.size else ''}. Expected median sigma: "
@@ -169,7 +170,7 @@ def images_inventory(path: Path, unmeasured: Unmeasured | None = None) -> str | 
     if not pairs:
         next_step = "an image that overlaps (mgsgraph new)"
     elif without_pixels:
-        next_step = f'pixels = "FILE" in [[images]] for {some(without_pixels, len(without_pixels))}, then {next_step}'
+        next_step = f'pixels = "FILE" in [[images]] for {some(without_pixels)}, then {next_step}'
     else:
         sentences.append(f"Ready for match: {many(len(images), 'image')} with pixels, {many(len(pairs), 'overlap')}.")
     return _as_text([
@@ -227,7 +228,7 @@ def _unknowns_table(network: Network) -> Table:
     """Unknowns beside points and images' polynomials: passes and how their cameras are mounted, what images share, the
     terrain model's own; with a-priori sigmas.
     """
-    names, rows = [image.name for image in network.images], list[tuple[str, str, str]]()
+    names, rows = network.image_names, list[tuple[str, str, str]]()
     for pass_ in network.passes:
         sigmas = pass_.prior.node_sigmas(np.zeros(len(pass_.nodes)))[0]
         rows.append((
@@ -250,12 +251,13 @@ def _unknowns_table(network: Network) -> Table:
 
 def _mounting_rows(pass_: Pass, names: Sequence[str]) -> list[tuple[str, str, str]]:
     """How the cameras of a pass are turned against that of its first image."""
-    images_by_angles = dict[str, list[str]]()
     mountings = np.zeros((0, 3)) if pass_.axes is None else mounting_angles(pass_.axes) / DEG
-    for j, angles in zip(pass_.images.tolist(), mountings.tolist(), strict=False):
-        images_by_angles.setdefault(", ".join(f"{angle:+.4f}" for angle in angles), []).append(names[j])
+    images_by_angles = grouped(
+        (", ".join(f"{angle:+.4f}" for angle in angles), names[j])
+        for j, angles in zip(pass_.images.tolist(), mountings.tolist(), strict=False)
+    )
     first, *others = images_by_angles.items() or [("", [])]
-    return [(f"mounted at {angles_text} deg (about x, y, z of {first[1][0]})", some(mounted, len(mounted)), "")
+    return [(f"mounted at {angles_text} deg (about x, y, z of {first[1][0]})", some(mounted), "")
             for angles_text, mounted in others]  # fmt: skip
 
 
@@ -274,23 +276,23 @@ def defining_values(images: Sequence[PushbroomImage]) -> list[str]:
     """Sentences with the constants and times that decide the geometry of images, for a look by eye: much of the input
     has no second statement that they could be held against.
     """
-    names, images_by_text = [image.name for image in images], dict[str, list[int]]()
-    for j, image in enumerate(images):
+    names_by_text = dict[str, list[str]]()
+    for image in images:
         interior, timing, body = image.interior, image.timing, image.body
         pitch = 1.0 / float(np.linalg.norm(interior.to_pixel[1, 1:]))
         period = f"{timing.periods.min() / MILLISECOND:.7g}"
         if timing.periods.size > 1:
             period += f" .. {timing.periods.max() / MILLISECOND:.7g}"
         distortion = type(interior.distortion).__name__.removesuffix("Distortion")
-        images_by_text.setdefault(
+        names_by_text.setdefault(
             f"focal length {interior.focal_length / MM:.7g} mm ({distortion or 'no'} distortion), detector pixels of "
             f"{1e6 * pitch:.5g} micrometers, {interior.sample_summing:g} per sample, the first one "
             f"{interior.first[1]:g}, principal point at pixel {interior.centre[1]:.7g}; {period} ms per line; body of "
             f"{body.equatorial / KM:.9g} and {body.polar / KM:.9g} km", [],
-        ).append(j)  # fmt: skip
-    sentences = [f"{some_of(names, np.array(members))}: {text}." for text, members in images_by_text.items()]
+        ).append(image.name)  # fmt: skip
+    sentences = [f"{some(names)}: {text}." for text, names in names_by_text.items()]
     first_lines = [f"{image.name} {utc_of_tdb(image.span[0]):%Y-%m-%dT%H:%M:%S.%f}"[:-3] for image in images]
-    return [*sentences, f"First lines (UTC): {some(first_lines, len(first_lines))}."]
+    return [*sentences, f"First lines (UTC): {some(first_lines)}."]
 
 
 def _orientation_text(network: Network, j: int) -> str:
@@ -309,12 +311,12 @@ def _sigmas_text(sigmas: Array) -> str:
 def _points_section(network: Network, prediction: Prediction) -> Section:
     """Points by class, with expected sigmas and residuals; ranges."""
     ray_counts, sentences, rows = network.ray_counts, list[str](), []
-    sigmas = np.sqrt(np.diagonal(prediction.covariances, axis1=1, axis2=2))
+    sigmas = sigmas_of(prediction.covariances)
     for _, points in network.of_class():
-        determined = points[np.all(np.isfinite(sigmas[points]), axis=1)]
+        determined = points[finite_rows(sigmas[points])]
         expected = sigmas[determined].mean(axis=0) if determined.size else np.full(3, np.nan)
         residuals = prediction.residuals[np.isin(network.rays.point, determined)]
-        rms = (root_mean_square(residuals[np.all(np.isfinite(residuals), axis=1)], 0) if residuals.size
+        rms = (root_mean_square(residuals[finite_rows(residuals)], 0) if residuals.size
                else np.full(2, np.nan))
         rows.append((points.size, np.count_nonzero(network.points.kinds[points] == PointKind.FREE),
                      ray_counts[points].min(), ray_counts[points].max(), *expected, *rms))  # fmt: skip
@@ -381,8 +383,7 @@ def outlying_ranges(network: Network, values: Array) -> Index:
     along them, and so are in the spread that is estimated from the median deviation.
     """
     ranges, outlying = network.ranges, np.zeros(values.size, dtype=bool)
-    for j in np.unique(ranges.image):
-        of_image = ranges.image == j
+    for _, of_image in by_value(ranges.image):
         offsets = np.abs(values[of_image] - np.median(values[of_image]))
         outlying[of_image] = offsets > _OUTLYING * np.hypot(ranges.sigmas[of_image],
                                                             np.median(offsets) / _MEDIAN_DEVIATION)
@@ -399,7 +400,7 @@ def _poorly_covered(network: Network) -> list[str]:
         elif np.ptp(lines) < _SHORT_SPAN * image.lines:
             short_span.append(f"{image.name} ({lines.min():.0f} .. {lines.max():.0f} of {image.lines})")
     return [
-        f"{heading}: {some(images, len(images))}"
+        f"{heading}: {some(images)}"
         for heading, images in (
             (f"images with fewer than {_FEW_POINTS} points, whose orientation is mostly its prior", few_points),
             ("images whose points span few lines, and whose orientation is extrapolated elsewhere", short_span),
@@ -421,7 +422,7 @@ def mounting_warnings(network: Network) -> list[str]:
         passes = [pass_.name for pass_ in network.passes if estimated_images.issuperset(pass_.images.tolist())]
         if passes:
             warnings.append(
-                f"{unknowns} of all cameras of {some(passes, len(passes))} are unknown beside the pass's own "
+                f"{unknowns} of all cameras of {some(passes)} are unknown beside the pass's own "
                 f"{counterpart}: only the a-priori sigmas separate what they have in common from it; leave one "
                 "camera out as the reference"
             )

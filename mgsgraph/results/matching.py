@@ -58,17 +58,10 @@ def write_matches(
         write_pvl_network(network, temporary / "network.pvl")
         write_binary_network(network, temporary / "network.net")
         digests = {file: sha256_of(temporary / file) for file in ("network.pvl", "network.net")}
-        section = match_section(matches, scene, name, settings)
-        write_json(temporary / MATCH, section.numbers | {FILES: digests})
+        write_json(temporary / MATCH, _record(matches, scene, name, settings) | {FILES: digests})
+        sheets = sheets_by("mgsgraph.results.figures.matches.matches_sheet", matches, scene, name)
+        section = Section("match", csv=[matches_table(matches)], sheets=sheets)
         return [MATCH, *digests, *section.write(temporary, figures)]
-
-
-def match_section(matches: Matches, scene: Scene, name: str, settings: MatchSettings) -> Section:
-    """Results of matching, in the case of this name."""
-    return Section("match", "", match_statements(matches, scene), numbers=_record(matches, scene, name, settings),
-                   csv=[matches_table(matches)],
-                   sheets=sheets_by("mgsgraph.results.figures.matches.matches_sheet", matches, scene,
-                                    name))  # fmt: skip
 
 
 def matches_table(matches: Matches) -> Table:

@@ -14,7 +14,8 @@ from mgsgraph.files.output.table import Column, Table, numbers
 from mgsgraph.files.place_table import PlaceTable
 from mgsgraph.files.writing import begins
 from mgsgraph.geometry.body import Ellipsoid, geodetic, planetocentric, require_near
-from mgsgraph.geometry.records import Array, Mask
+from mgsgraph.geometry.records import Array, Mask, sigmas_of
+from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.geometry.trajectory import utc_of_tdb, utc_texts
 from mgsgraph.names import RepeatedNames
@@ -112,7 +113,7 @@ def _seen_over_terrain(view: View, points: Array, terrain: TerrainGrid | None) -
 def _seen_at_neighbor_heights(view: View, ground: Array) -> Places:
     """Ground places in the image, raised from the ellipsoid (n, 3) in m to the height of adjusted points about them."""
     heights, height_sigmas = view.heights_at(ground)
-    vertical = ground / np.linalg.norm(ground, axis=1, keepdims=True)
+    vertical = unit_vectors(ground)
     projected, projected_higher = (view.seen(ground + (heights + rise)[:, None] * vertical) for rise in (0.0, 1.0))
     shifts = (projected_higher.pixels - projected.pixels) * height_sigmas[:, None]
     assert projected.covariances is not None
@@ -124,7 +125,7 @@ def image_places_table(projected: Places, isis: bool, given: Mapping[str, list[s
     names, offset = (ISIS, ISIS_OFFSET) if isis else (OURS, 0.0)
     values = dict(zip(names, (projected.pixels + offset).T, strict=True))
     if projected.covariances is not None:
-        sigmas = np.sqrt(np.diagonal(projected.covariances, axis1=1, axis2=2))
+        sigmas = sigmas_of(projected.covariances)
         values |= dict(zip(("sigma_line_px", "sigma_sample_px"), sigmas.T, strict=True))
     return _positions_table("Ground places in the image", projected, values, given, height_from)
 
@@ -141,7 +142,7 @@ def ground_places_table(projected: Places, body: Ellipsoid, given: Mapping[str, 
 
         values |= dict(zip(RADIAL, local_sigmas(projected.covariances, projected.points).T, strict=True))
         values["sigma_height_m"] = sigmas_along(upward(projected.points, body)[:, None], projected.covariances)[:, 0]
-        values |= dict(zip(AXES, np.sqrt(np.diagonal(projected.covariances, axis1=1, axis2=2)).T, strict=True))
+        values |= dict(zip(AXES, sigmas_of(projected.covariances).T, strict=True))
     return _positions_table("Image places on the ground", projected, values, given, height_from)
 
 

@@ -12,8 +12,8 @@ from mgsgraph.adjustment.graph.variables import crossover_differences
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.files.output.folders import COREGISTRATION, fresh_folder
 from mgsgraph.files.output.table import Table, numbers
-from mgsgraph.geometry.body import east_north_up, geodetic, planetocentric
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.body import east_north_up, ellipsoidal_heights, planetocentric
+from mgsgraph.geometry.records import Array, sigmas_of
 from mgsgraph.registration.minima import ProfileState, ReliefProfile, ReliefRegistration
 from mgsgraph.results.results import write_into
 from mgsgraph.results.section import Section, record_of, sheets_by, table_of, write_sections_into
@@ -137,7 +137,7 @@ def profiles_table(registration: ReliefRegistration) -> Table:
 
     def misplacement(when: str) -> dict[str, Array]:
         states = [getattr(profile, when) for profile in profiles]
-        sigma = [np.sqrt(np.diag(state.misplacement_covariance)) for state in states]
+        sigma = [sigmas_of(state.misplacement_covariance) for state in states]
         key = f"misplacement_{when}_{{}}"
         return {key: numbers(states, "misplacement").reshape(-1, 2), f"sigma_{key}": np.array(sigma).reshape(-1, 2)}
 
@@ -152,7 +152,7 @@ def profiles_table(registration: ReliefRegistration) -> Table:
         **misplacement("before"), **misplacement("after"), "misfit": minimum(0, "misfit"),
         "runner_up_misfit": minimum(1, "misfit"), "runner_up_weight": minimum(1, "weight"),
         "shift_{}": of(lambda profile: profile.shift, 2),
-        "sigma_shift_{}": of(lambda profile: np.sqrt(np.diag(profile.covariance)), 2),
+        "sigma_shift_{}": of(lambda profile: sigmas_of(profile.covariance), 2),
         "apriori_sigma_shift": shifts.sigmas,
     }, profiles)  # fmt: skip
 
@@ -169,7 +169,7 @@ def relief_shots_table(registration: ReliefRegistration) -> Table:
         "shot": [network.points.ids[i] for profile in profiles for i in profile.points.tolist()],
         "on_surface": on_surface,
         "east_longitude": np.mod(longitude / DEG, 360.0), "planetocentric_latitude": latitude,
-        "height": geodetic(points, network.images[0].body)[:, 2],
+        "height": ellipsoidal_heights(points, network.body),
         "above_surface_before": np.concatenate([_covered_heights(profile.before) for profile in profiles]),
         "above_surface_after": np.concatenate([_covered_heights(profile.after) for profile in profiles]),
         "sigma": np.where(on_surface, np.concatenate([profile.sigmas for profile in profiles]), np.nan),
@@ -216,10 +216,10 @@ def relief_statements(registration: ReliefRegistration) -> list[str]:
          "have too few shots on the surface to take part"),
     ):
         if members:
-            names = some([profile.name for profile in members], len(members))
+            names = some([profile.name for profile in members])
             sentences.append(f"{len(members)} of {len(profiles)} profiles {condition} ({names}).")
     if solution.network.considered:
-        named = some(solution.network.considered, len(solution.network.considered))
+        named = some(solution.network.considered)
         sentences.append(f"Considered, not estimated: {named}; their a-priori sigmas are part of all sigmas.")
     sentences.append(f"Sigma0 is {registration.before.sigma0:.3g} without stereo rows, "
                      f"{solution.sigma0:.3g} with them.")

@@ -109,10 +109,6 @@ class Section:
 
         return [*writers, *save(self.sheets(), folder)]
 
-    def write_folder(self, folder: str | Path, kind: str, figures: bool = True) -> list[str]:
-        """Write its numbers as the record, and its files, to a folder of its own (`write_sections`)."""
-        return write_sections([self], self.numbers, folder, kind, figures)
-
 
 def sheets_by(function: str, *arguments: Any) -> Callable[[], Iterable["Sheet"]]:
     """A callable that draws figures by the function of this dotted name; it imports matplotlib only then."""

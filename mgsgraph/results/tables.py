@@ -18,8 +18,8 @@ from mgsgraph.analysis.statistics import PLACES, local_sigmas, rejected_points, 
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.files.output.table import Column, Table, padded, picked, write_parquet
 from mgsgraph.files.rasters.raster_file import geographic_crs
-from mgsgraph.geometry.body import Ellipsoid, east_north_up, geodetic, planetocentric
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.body import Ellipsoid, east_north_up, ellipsoidal_heights, planetocentric
+from mgsgraph.geometry.records import Array, Index, no_rows, sigmas_of
 from mgsgraph.names import RepeatedNames
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import Connectivity
@@ -34,7 +34,7 @@ def points_table(solution: Solution, rows: slice | Index = slice(None)) -> Table
     Some of the `rows` alone where the table has a choice of the points.
     """
     network, places, covariances = solution.network, solution.places[rows], solution.covariances[rows]
-    sigmas = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
+    sigmas = sigmas_of(covariances)
     moved, rejected = places - solution.places_before[rows], rejected_points(solution)[rows]
     longitude, latitude, radius = planetocentric(places).T
     a, b = np.triu_indices(3)
@@ -43,7 +43,7 @@ def points_table(solution: Solution, rows: slice | Index = slice(None)) -> Table
         "kind": _member_names(PointKind, network.points.kinds[rows]), "rejected": rejected,
         "rays": network.ray_counts[rows], "rays_used": used_ray_counts(solution)[rows], "{}": places,
         "lon": longitude / DEG % 360.0, "lat": latitude, "radius": radius,
-        "height": geodetic(places, network.images[0].body)[:, 2],
+        "height": ellipsoidal_heights(places, network.body),
         "height_above_areoid": None if network.areoid is None else radius - network.areoid.at(places),
         "sigma_{} m": sigmas, "sigma_{} east/north/up": local_sigmas(covariances, places),
         "scaled_sigma_{}": sigmas * solution.sigma0, "cov_{}": covariances[:, a, b], "correction_{}": moved,
@@ -97,7 +97,7 @@ def residuals_table(solution: Solution) -> Table:
         "kind": picked(("image", "range", "stereo height"), np.repeat(np.arange(3), [k, r, h])),
         "point": picked(network.points.ids, point_numbers),
         "class": _member_names(PointClass, network.points.classes[point_numbers]),
-        "image": picked(["", *(image.name for image in network.images)], image_numbers + 1), "used": used,
+        "image": picked(["", *network.image_names], image_numbers + 1), "used": used,
         "tested": tested,
         "isis_line": padded(np.concatenate([rays.places[:, 0], _shot_lines(solution)]), 0, h) + ISIS_OFFSET,
         "isis_sample": padded(rays.places[:, 1], 0, r + h) + ISIS_OFFSET, **of_rays,
@@ -119,7 +119,7 @@ def _stereo_heights(solution: Solution) -> tuple[Index, Array, Array]:
     """Points (h,) on stereo surfaces, their heights above them and a-priori sigmas (h,), m."""
     control, heights = solution.network.stereo, solution.stereo_heights
     if control is None or heights is None:
-        return np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0)
+        return no_rows(), np.zeros(0), np.zeros(0)
     points = np.flatnonzero(control.surface >= 0)
     return points, heights[points], control.sigmas[points]
 
@@ -181,7 +181,7 @@ def write_large_tables(solution: Solution, folder: Path, requested: TableForm | 
         residuals_table(solution).write_csv(folder / names[1])
         return names
     points = with_points(points_table(solution), solution.places)
-    write_geoparquet(folder / names[0], [points], solution.network.images[0].body)
+    write_geoparquet(folder / names[0], [points], solution.network.body)
     write_parquet(folder / names[1], [residuals_table(solution)])
     return names
 

@@ -15,7 +15,7 @@ from mgsgraph.files.output.folders import DEM, PROGRAM, STAC_ITEM, fresh_folder,
 from mgsgraph.files.output.table import Table, picked, write_json
 from mgsgraph.files.rasters.raster_file import geotiff
 from mgsgraph.geometry.body import planetocentric
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, sigmas_of
 from mgsgraph.matching.scene import Ground, Picture, Scene
 from mgsgraph.registration.dem.checking import check_figures, check_profiles
 from mgsgraph.registration.dem.gridding import HeightGrid, MapGrid
@@ -101,7 +101,7 @@ def write_dem(dem: Dem, scene: Scene, settings: DemSettings, folder: Path, figur
     """Write all files into an existing folder."""
     grid = ortho_grid(dem, scene, settings)
     progress("ortho image", 0, 1)
-    tags = {"case": dem.name, "images": some(dem.images, len(dem.images), 20), "sigmas": "for sigma0 = 1"}
+    tags = {"case": dem.name, "images": some(dem.images, most=20), "sigmas": "for sigma0 = 1"}
     write_model(dem.model, dem.heights, dem.reference, tags, folder / "dem.tif")
     write_ortho_accuracy(dem, folder / "ortho_sigma.tif")
     write_ortho(scene.pictures[dem.ortho], dem.model, scene.ground, grid, folder / "ortho.tif", progress)
@@ -134,7 +134,7 @@ def dem_section(dem: Dem) -> Section:
     ]
     if inconsistent := [" and ".join(pair.images) for pair in dem.pairs if pair.miss > _UNEXPLAINED * pair.miss_sigma]:
         sentences.append(
-            f"Rays of {some(inconsistent, len(inconsistent))} miss each other by more than matching explains: the rest "
+            f"Rays of {some(inconsistent)} miss each other by more than matching explains: the rest "
             "is the orientation's, by its sigmas or by motion that the adjustment doesn't follow."
         )
     if not dem.profiles:
@@ -186,7 +186,7 @@ def _record(dem: Dem, settings: DemSettings, pixel: float) -> dict[str, Any]:
         "height_m": [np.nanmin(dem.heights), np.nanmax(dem.heights)], "quantiles_5_50_95_m": quantiles,
         "checks": [
             {
-                **record_of("dem_check", profile), "shift_sigma_m": np.sqrt(np.diag(profile.shift_covariance)),
+                **record_of("dem_check", profile), "shift_sigma_m": sigmas_of(profile.shift_covariance),
                 **(check_figures(checks, mask) if np.any(mask := checks.profile == k) else {"shots": 0}),
             }
             for k, profile in enumerate(dem.profiles)

@@ -13,15 +13,16 @@ from mgsgraph.adjustment.covariances import Linearity
 from mgsgraph.adjustment.drivers import Contributions, Kind, driver_sentences
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis import grouping as groups
-from mgsgraph.analysis.sanity import unexplained_ranges, unexplained_residuals
+from mgsgraph.analysis.sanity import Unexplained, unexplained_ranges, unexplained_residuals
 from mgsgraph.analysis.undetected import POWER, SHIFTS, Undetected
 from mgsgraph.analysis.verdict import LEVEL, Cause, Reason, State, Verdict, level_of_groups, verdict
 from mgsgraph.files.output.table import Table
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
+from mgsgraph.names import grouped
 from mgsgraph.network import Network
 from mgsgraph.results.section import Section, record_of, table_of
-from mgsgraph.text import length, listed, many, short, some, some_of, two
+from mgsgraph.text import length, listed, many, short, some, two
 from mgsgraph.units import ARCSEC, DEG
 
 _SIGMA_KEYS = {
@@ -85,11 +86,8 @@ def group_tests_table(assessment: Verdict) -> Table:
 
 def reason_sentences(reasons: Sequence[Reason]) -> list[str]:
     """One sentence for each cause: its gravest reason, and the number of similar ones."""
-    of_cause = dict[Cause, list[Reason]]()
-    for reason in reasons:
-        of_cause.setdefault(reason.cause, []).append(reason)
     sentences = []
-    for same_cause in of_cause.values():
+    for same_cause in grouped((reason.cause, reason) for reason in reasons).values():
         similar = f" ({many(len(same_cause) - 1, 'similar result')}.)" if len(same_cause) > 1 else ""
         sentences.append(_reason_sentence(same_cause[0]) + similar)
     return sentences
@@ -272,34 +270,28 @@ def _member_names(solution: Solution, group: Contributions) -> list[str]:
 
 def reading_statements(images: Sequence[PushbroomImage]) -> list[str]:
     """One sentence for each remark of the readers of images, with the images that it is of."""
-    names = [image.name for image in images]
-    of_remark = dict[str, list[int]]()
-    for j, image in enumerate(images):
-        for remark in image.remarks:
-            of_remark.setdefault(remark, []).append(j)
-    return [f"As read, {some_of(names, np.array(members))}: {remark}." for remark, members in of_remark.items()]
+    of_remark = grouped((remark, image.name) for image in images for remark in image.remarks)
+    return [f"As read, {some(names)}: {remark}." for remark, names in of_remark.items()]
 
 
 def beyond_priors_statements(network: Network, residuals: Array) -> list[str]:
     """Images whose residuals (k, 2) with the nominal orientation no error within the a-priori sigmas explains."""
-    implausible = [
-        f"{network.images[excess.image].name} {excess.size:.0f} px (expected {excess.expected:.2g})"
-        for excess in unexplained_residuals(network, residuals)
-    ]
+    implausible = _implausible(network, unexplained_residuals(network, residuals), "{:.0f} px")
     return implausible and [
         "residuals with the nominal orientation are larger than a-priori sigmas explain, median of "
-        f"{some(implausible, len(implausible))}: images, lines and samples, or labels may be interchanged, or sigmas "
-        "too small"
+        f"{some(implausible)}: images, lines and samples, or labels may be interchanged, or sigmas too small"
     ]
+
+
+def _implausible(network: Network, excesses: Sequence[Unexplained], size: str) -> list[str]:
+    names = network.image_names
+    return [f"{names[each.image]} {size.format(each.size)} (expected {each.expected:.2g})" for each in excesses]
 
 
 def range_statements(network: Network, residuals: Array) -> list[str]:
     """Images whose range residuals (r,) with the nominal orientation no error within the a-priori sigmas explains."""
-    implausible = [
-        f"{network.images[excess.image].name} {excess.size:+.4g} m (expected {excess.expected:.2g})"
-        for excess in unexplained_ranges(network, residuals)
-    ]
+    implausible = _implausible(network, unexplained_ranges(network, residuals), "{:+.4g} m")
     return implausible and [
         "laser ranges minus the distances to their footprints have a mean that no a-priori sigma explains, "
-        f"{some(implausible, len(implausible))}: look at the ranges, the footprints' radii and the orbit first"
+        f"{some(implausible)}: look at the ranges, the footprints' radii and the orbit first"
     ]

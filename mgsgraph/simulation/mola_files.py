@@ -20,12 +20,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.altimetry.binary import FRAME, HEADER_RECORDS, SHOTS, read_pedr
 from mgsgraph.files.writing import writing_to
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.body import in_turn, planetocentric
-from mgsgraph.geometry.records import Array, Mask, assign, frozen
+from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen
 from mgsgraph.record import Record
 from mgsgraph.simulation.sites import template
 from mgsgraph.units import DEG, SPEED_OF_LIGHT
@@ -120,8 +120,7 @@ def _label(path: Path, frames: PedrFrames, count: int, more: Mapping[str, str]) 
         more="".join(f"{key} = {value}\n" for key, value in more.items()),
     ).replace("\n", "\r\n")  # fmt: skip
     size = HEADER_RECORDS * FRAME.itemsize
-    if not text.isascii() or len(text) > size:
-        raise InputError(f"{path}, label", f"{len(text)} characters", f"at most {size}, ASCII")
+    require(text.isascii() and len(text) <= size, f"{path}, label", f"{len(text)} characters", f"at most {size}, ASCII")
     return text.encode("ascii").ljust(size)
 
 
@@ -190,7 +189,7 @@ def _set_times(records: NDArray[np.void], times: Array) -> None:
     records["clock"] = round(1e7 / tick)
 
 
-def _parallax(frames: PedrFrames, count: NDArray[np.int64]) -> Array:
+def _parallax(frames: PedrFrames, count: Index) -> Array:
     """How longitude and latitude of a footprint move with its radius along the line of sight: (frames, 2) in rad/m, at
     the middle shot of each frame.
     """
@@ -215,7 +214,7 @@ def _set_line(records: NDArray[np.void], name: str, values: Array, present: Mask
     records[name], records[f"d_{name}"] = _whole(middle, name), _whole(change / unit, f"d_{name}")
 
 
-def _whole(values: Array, name: str) -> NDArray[np.int64]:
+def _whole(values: Array, name: str) -> Index:
     """Whole numbers nearest to values in the file's unit, which must fit the field."""
     whole = np.rint(values).astype(np.int64)
     limits = np.iinfo(FRAME[name].base)

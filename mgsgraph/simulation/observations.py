@@ -12,7 +12,7 @@ from mgsgraph.files.networks.tie_points import PointKind, TiePoints
 from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.records import Array, Index, Mask, joined_rows
 from mgsgraph.names import Names, RepeatedNames
 from mgsgraph.record import Record
 from mgsgraph.simulation.ground import rays_to_sines
@@ -100,7 +100,7 @@ class Visible:
 
     def ordered(self) -> tuple[Index, Index, Array]:
         """All rows by point and then by image: points (k,), images (k,), lines and samples (k, 2)."""
-        point, image = (np.concatenate([np.zeros(0, dtype=np.int64), *rows]) for rows in (self.point, self.image))
+        point, image = (joined_rows(rows) for rows in (self.point, self.image))
         order = np.lexsort([image, point])
         return point[order], image[order], np.concatenate([np.zeros((0, 2)), *self.pixels])[order]
 

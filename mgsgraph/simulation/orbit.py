@@ -322,8 +322,7 @@ def ground_track(flown: CircularPass, times: Array) -> tuple[Array, Array]:
     to_body = flown.body.to_fixed(flown.epoch + times)
     up = np.einsum("nij,nj->ni", to_body, positions) / orbit.radius
     along = np.einsum("nij,nj->ni", to_body, velocities)
-    east = np.cross([0.0, 0.0, 1.0], up)
-    east /= np.linalg.norm(east, axis=1, keepdims=True)
+    east = rotation.unit_vectors(np.cross([0.0, 0.0, 1.0], up))
     north = np.cross(up, east)
     heading = np.arctan2(np.einsum("ni,ni->n", along, east), np.einsum("ni,ni->n", along, north))
     return on_ellipsoid(up, body=flown.body.ellipsoid), heading
@@ -363,15 +362,13 @@ class SitePass:
         """Matrices (n, 3, 3) inertial to camera frame at times (n,) in s past the epoch."""
         if self.held:
             return np.broadcast_to(self.axes, (times.size, 3, 3))
-        first = np.swapaxes(orbit_axes(*self.orbit.state(np.zeros(1))), 1, 2)
+        first = orbit_axes(*self.orbit.state(np.zeros(1))).mT
         return self.axes @ first @ orbit_axes(*self.orbit.state(times))
 
 
 def orbit_axes(positions: Array, velocities: Array) -> Array:
     """Inertial to orbit frame (n, 3, 3), which is MGS's nadir frame: +Z down, +Y along the orbit's normal, +X back."""
-    down = -positions / np.linalg.norm(positions, axis=1, keepdims=True)
-    normal = np.cross(positions, velocities)
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    down, normal = -rotation.unit_vectors(positions), rotation.unit_vectors(np.cross(positions, velocities))
     return np.stack([np.cross(normal, down), normal, down], axis=1)
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from mgsgraph.errors import InputError, require
+from mgsgraph.errors import require
 from mgsgraph.files.networks.tie_points import TiePoints
 from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.image import PushbroomImage
@@ -177,8 +177,7 @@ def _laser_profile(
     noise, n, k = settings.noise, settings.shots, settings.shots * len(images)
     shots = shots_along(images[0], corrections[0], n, settings.relief)
     pixels, visible = project(images, corrections, shots.points)
-    if not np.all(visible):
-        raise InputError(SOURCE, f"images that share {visible.sum()} of {n} laser footprints", remedy=_NO_OVERLAP)
+    require(np.all(visible), SOURCE, f"images that share {visible.sum()} of {n} laser footprints", remedy=_NO_OVERLAP)
     points = shots.points
     if np.any(errors.altimeter_boresight):
         points = displaced_footprints(images[0], shots.times - images[0].trajectory.epoch, points, errors)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.records import Array, assign, read_only
+from mgsgraph.geometry.records import Array, Index, assign, read_only
 from mgsgraph.units import KM
 
 """Height of a crater's rim in units of its depth; radius at which its ejecta end, in units of the crater's."""
@@ -139,7 +139,7 @@ def add_craters(
         field[np.ix_(first % field.shape[0], second % field.shape[1])] += depths[k] * _crater(distance)
 
 
-def _around(centre: float, reach: float) -> tuple[NDArray[np.int64], Array]:
+def _around(centre: float, reach: float) -> tuple[Index, Array]:
     """Indices within `reach` of a centre, and how far from it they are."""
     indices = np.arange(np.ceil(centre - reach), np.floor(centre + reach) + 1.0)
     return indices.astype(np.int64), indices - centre

@@ -18,6 +18,7 @@ from mgsgraph.geometry.body import east_north, from_planetocentric, planetocentr
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.record import Record
 from mgsgraph.simulation.camera import interior_orientation, line_image, moc_image, one_rate
@@ -265,7 +266,7 @@ def simulate_site(
     pairs = [_images(*given) for given in zip(settings.images, flights, streams[:2], strict=True)]
     true = (pairs[0][0], pairs[1][0])
     drawn = streams[2].uniform(MARGIN, np.array([true[0].lines, true[0].samples]) - MARGIN, (8 * settings.ties, 2))
-    ground = terrain.intersect(*true[0].rays(drawn[:, 0], drawn[:, 1])[:2])
+    ground = terrain.intersect(*true[0].rays(*drawn.T)[:2])
     ties, points = shared_ties(SOURCE, true, (None, None), ground, settings.ties, options.tie_noise, streams[2])
     images = []
     for k, (image, (_, errors, _, count)) in enumerate(zip(settings.images, flights, strict=True)):
@@ -332,8 +333,7 @@ def _profile(
     axes = np.einsum("nji,j->ni", pose.matrix, _ALTIMETER_AXIS / np.linalg.norm(_ALTIMETER_AXIS))
     jitter = options.footprint_noise * rng.standard_normal((count, 2))
     aimed = terrain.intersect(pose.position, axes)
-    beams = aimed + np.einsum("nk,nkj->nj", jitter, east_north(aimed)) - pose.position
-    beams /= np.linalg.norm(beams, axis=1, keepdims=True)
+    beams = unit_vectors(aimed + np.einsum("nk,nkj->nj", jitter, east_north(aimed)) - pose.position)
     ranges, spread = ranges_over_spots(terrain, pose.position, beams)
     points = pose.position + ranges[:, None] * beams
     pixels = np.stack([each.ground_to_image(points)[0] for each in images], axis=1)
@@ -344,7 +344,7 @@ def _profile(
     common = SHIFT_SIGMA * rng.standard_normal(2)
     given = _displaced(met, np.column_stack([common - jitter, options.height_noise * rng.standard_normal(count)]))
     longitude, latitude, _ = planetocentric(given).T
-    nadir = -pose.position / np.linalg.norm(pose.position, axis=1, keepdims=True)
+    nadir = -unit_vectors(pose.position)
     return SimulatedProfile(
         orbit=settings.orbit + _MOLA_ORBIT,
         times=times,

@@ -22,10 +22,10 @@ from scipy.spatial import KDTree
 
 from mgsgraph.analysis.places import terrain_slopes
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.body import east_north_up, error_ellipses, geodetic, planetocentric
+from mgsgraph.geometry.body import east_north_up, ellipsoidal_heights, error_ellipses, geodetic, planetocentric
 from mgsgraph.geometry.intersection import meet_terrain
 from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, finite_rows
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network.corrections import designs
 from mgsgraph.studio.opened import Block
@@ -149,11 +149,11 @@ class GroundModel:
         if grid is None:
             return None
         places = np.concatenate([self._block.places, *self._block.grounds])
-        return grid.around(places[np.all(np.isfinite(places), axis=1)], _AROUND)
+        return grid.around(places[finite_rows(places)], _AROUND)
 
     def _heights(self, points: Index) -> Array:
         """(k,) m above the ellipsoid, of some points with a place."""
-        return np.asarray(geodetic(self._block.places[points], self._block.images[0].body)[:, 2])
+        return np.asarray(ellipsoidal_heights(self._block.places[points], self._block.images[0].body))
 
     def _sigmas(self, points: Index) -> Array:
         """(k,) m, of the same."""

@@ -18,7 +18,7 @@ from mgsgraph.files.networks.tie_points import PointKind, TiePoints
 from mgsgraph.files.output.table import Column, Table, digits, padded
 from mgsgraph.files.rasters.pictures import read_picture
 from mgsgraph.geometry.body import east_north_up
-from mgsgraph.geometry.records import Array, Index, Mask, thinned
+from mgsgraph.geometry.records import Array, Index, Mask, no_rows, thinned
 from mgsgraph.matching.chips import chip_frames, likeness, misfit_beside_neighbours
 from mgsgraph.matching.scene import Pixels
 from mgsgraph.names import Names, RepeatedNames
@@ -76,8 +76,8 @@ def listed_rays(opened: Opened) -> ListedRays:
         network, solution, rays = block.network, opened.now.solution, block.network.rays
         blunders = rays.rejected if solution is None else solution.rays_rejected
         state = np.where(block.used, 0, 1 if blunders is None else np.where(blunders, 3, 1))
-        names = tuple(dict.fromkeys([*(image.name for image in network.images), *(image for _, image, *_ in by_hand)]))
-        ids, points, others = network.points.ids, rays.point, np.zeros(0, dtype=np.int64)
+        names = tuple(dict.fromkeys([*network.image_names, *(image for _, image, *_ in by_hand)]))
+        ids, points, others = network.points.ids, rays.point, no_rows()
         if by_hand:
             ids, (numbers, others) = Names.united([ids, Names.of([name for name, *_ in by_hand])])
             points = numbers[points]
@@ -114,7 +114,7 @@ def matches(opened: Opened) -> Array:
 
     def make() -> Array:
         network, points, rays = opened.block().network, opened.block().network.points, opened.block().network.rays
-        names = tuple(image.name for image in network.images)
+        names = tuple(network.image_names)
         ties = TiePoints(str(opened.path), points.ids, points.kinds, points.places, points.covariances, rays.point,
                          RepeatedNames(names, rays.image), rays.places, network.ray_sigmas)  # fmt: skip
         ties = ties.with_measures(np.array([opened.pictures.get(name) is not None for name in names])[rays.image])

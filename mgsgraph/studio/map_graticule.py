@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from mgsgraph.geometry.body import from_planetocentric, in_turn
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, all_pairs
 from mgsgraph.studio.map_points import longitude_latitude
 from mgsgraph.studio.opened import Opened
 from mgsgraph.units import DEG
@@ -24,7 +24,7 @@ def graticule(opened: Opened, box: Array) -> list[dict[str, Any]]:
     """
     radius = float(np.linalg.norm(opened.centre))
     x, y = np.linspace(box[:2], box[2:], _SAMPLED).T
-    plane = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    plane = all_pairs(x, y)
     plane = plane[np.linalg.norm(plane, axis=1) < np.pi * radius]  # where the map ends
     if not len(plane):
         return []

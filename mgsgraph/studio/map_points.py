@@ -14,7 +14,7 @@ from mgsgraph.analysis.statistics import medians, span
 from mgsgraph.errors import InputError, require
 from mgsgraph.files.output.table import digits, plain
 from mgsgraph.geometry.body import east_north_up, from_planetocentric, places_at, planetocentric
-from mgsgraph.geometry.records import Array, Index, Mask, thinned
+from mgsgraph.geometry.records import Array, Index, Mask, all_pairs, finite_rows, thinned
 from mgsgraph.network import PointClass
 from mgsgraph.studio.marks import projected
 from mgsgraph.studio.opened import Block, Opened
@@ -66,7 +66,7 @@ class MapPoints:
         if self.block.covariances is None:
             return np.full((count, 3, 3), np.nan)
         frames = self.every_frame
-        return np.asarray(frames @ self.block.covariances @ np.swapaxes(frames, 1, 2))
+        return np.asarray(frames @ self.block.covariances @ frames.mT)
 
     def frames(self, chosen: Index | slice = slice(None)) -> Array:
         """(n, 3, 3) rows east, north and up at the points, or at some (m,) of them."""
@@ -93,29 +93,18 @@ class MapPoints:
     def value(self, name: str) -> Array:
         """(n,) a value of the points, one of `VALUES`; NaN where unknown."""
         require(name in VALUES, "request, value", repr(name)[:60], f"one of {', '.join(VALUES)}")
+        rays, count = self.block.network.rays, len(self.classes)
         makers: dict[str, Callable[[], Array]] = {
             "sigma": lambda: np.sqrt(np.trace(self.local, axis1=1, axis2=2)),
             "sigma_horizontal": lambda: np.sqrt(self.local[:, 0, 0] + self.local[:, 1, 1]),
             "sigma_up": lambda: np.sqrt(self.local[:, 2, 2]),
             "moved_horizontal": lambda: np.hypot(self.moved[:, 0], self.moved[:, 1]),
             "moved_up": lambda: self.moved[:, 2],
-            "residual": self._residual,
-            "rays": self._rays,
-            "wtest": self._wtest,
+            "residual": lambda: largest(np.linalg.norm(ray_residuals(self.opened), axis=1), rays.point, count),
+            "rays": lambda: np.bincount(rays.point[self.block.used], minlength=count).astype(float),
+            "wtest": lambda: largest(ray_tests(self.opened)[0], rays.point, count),
         }
         return self.opened.once(f"value {name}", makers[name])
-
-    def _rays(self) -> Array:
-        return np.bincount(self.block.network.rays.point[self.block.used], minlength=len(self.classes)).astype(float)
-
-    def _residual(self) -> Array:
-        """(n,) px, largest image residual of each point."""
-        size = np.linalg.norm(ray_residuals(self.opened), axis=1)
-        return largest(size, self.block.network.rays.point, len(self.classes))
-
-    def _wtest(self) -> Array:
-        """(n,) largest |w| of the image measures of each point."""
-        return largest(ray_tests(self.opened)[0], self.block.network.rays.point, len(self.classes))
 
     # --- windows
 
@@ -259,7 +248,7 @@ def shaded_relief(opened: Opened, box: Array, size: tuple[float, float]) -> Arra
     columns, rows = pixels_of(size)
     x = box[0] + (np.arange(columns) + 0.5) * (box[2] - box[0]) / columns
     y = box[3] - (np.arange(rows) + 0.5) * (box[3] - box[1]) / rows
-    plane = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    plane = all_pairs(x, y)
     heights = terrain.at(places_at(plane, opened.centre)).reshape(rows, columns)
     down, right = np.gradient(heights, (box[3] - box[1]) / rows, (box[2] - box[0]) / columns)
     normal = np.stack([-right, down, np.ones_like(right)], axis=-1)  # rows go southward
@@ -320,7 +309,7 @@ def residual_vectors(opened: Opened, image: str) -> dict[str, Any]:
         [(projected(block, j, places + _STEP * frames[:, k], measured[:, 0]) - base) / _STEP for k in range(2)], axis=-1
     )
     residuals = measured - base
-    solvable = np.flatnonzero(np.isfinite(slopes).all(axis=(1, 2)) & np.isfinite(residuals).all(axis=1))
+    solvable = np.flatnonzero(np.isfinite(slopes).all(axis=(1, 2)) & finite_rows(residuals))
     solvable = solvable[np.abs(np.linalg.det(slopes[solvable])) > 1e-12]
     moves = np.linalg.solve(slopes[solvable], residuals[solvable][..., None])[..., 0]
     return {
@@ -343,7 +332,7 @@ def scene_record(opened: Opened) -> dict[str, Any]:
     block = opened.block()
     number = np.bincount(block.network.points.classes, minlength=len(PointClass))
     places = map_points(opened).plane
-    located = places[np.all(np.isfinite(places), axis=1)]
+    located = places[finite_rows(places)]
     corners = located if len(located) else np.concatenate([outline for outline in opened.footprints() if len(outline)])
     return {
         "kind": opened.kind, "name": opened.now.name, "path": str(opened.path), "revision": opened.revision,

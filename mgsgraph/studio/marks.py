@@ -6,9 +6,10 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from mgsgraph.files.output.table import plain
-from mgsgraph.geometry.body import east_north_up, geodetic
-from mgsgraph.geometry.records import Array, Index, Mask, thinned
+from mgsgraph.geometry.body import east_north_up, ellipsoidal_heights
+from mgsgraph.geometry.records import Array, Index, Mask, finite_rows, thinned
 from mgsgraph.geometry.terrain import areoid_heights
+from mgsgraph.names import grouped
 from mgsgraph.network import PointClass
 from mgsgraph.studio.linked import NEIGHBOURS, weights_by_distance
 from mgsgraph.studio.opened import Block
@@ -51,7 +52,7 @@ def projected(block: Block, image: int, points: Array, lines: Array | None = Non
     orientation before the adjustment.
     """
     pixels = np.full((len(points), 2), np.nan)
-    located = np.flatnonzero(np.all(np.isfinite(points), axis=1) & np.any(points, axis=1))
+    located = np.flatnonzero(finite_rows(points) & np.any(points, axis=1))
     picture = block.network.images[image] if nominal else block.images[image]
     correction = None if nominal else block.corrections[image]
     if located.size:
@@ -94,9 +95,7 @@ def laser_profiles(block: Block) -> list[tuple[str, Index]]:
     if shifts is not None:
         profile = np.asarray(shifts.profile)[laser].tolist()
         owner = [shifts.names[k] if k >= 0 else name for k, name in zip(profile, owner, strict=True)]
-    profiles = dict[str, list[int]]()
-    for name, point in zip(owner, laser.tolist(), strict=True):
-        profiles.setdefault(name, []).append(point)
+    profiles = grouped(zip(owner, laser.tolist(), strict=True))
     return [(name, np.array(members)) for name, members in profiles.items()]
 
 
@@ -155,7 +154,7 @@ def _heights(block: Block, points: Array) -> Array:
     """(n,) m above the areoid where it is known, else above the ellipsoid."""
     if block.network.areoid is not None:
         return areoid_heights(points, block.network.areoid)
-    return np.asarray(geodetic(points, block.images[0].body)[:, 2])
+    return np.asarray(ellipsoidal_heights(points, block.images[0].body))
 
 
 def _near(block: Block, image: int, places: Array) -> Mask:
@@ -172,5 +171,5 @@ def _inside(block: Block, image: int, places: Array) -> Mask:
 
 
 def _pairs(values: Array) -> list[list[float] | None]:
-    finite = np.all(np.isfinite(values), axis=1).tolist()
+    finite = finite_rows(values).tolist()
     return [pair if is_finite else None for pair, is_finite in zip(values.tolist(), finite, strict=True)]

@@ -23,10 +23,10 @@ from mgsgraph.case.reading import picture_of, read_case
 from mgsgraph.errors import InputError, MgsgraphError, command_line, require
 from mgsgraph.files.networks.tie_points import TiePoints
 from mgsgraph.files.output.folders import PROJECT
-from mgsgraph.geometry.body import centre_of, geodetic, plane_coordinates
+from mgsgraph.geometry.body import centre_of, ellipsoidal_heights, plane_coordinates
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.geometry.records import Array, Index, Mask, thinned
+from mgsgraph.geometry.records import Array, Index, Mask, finite_rows, thinned
 from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network import Network
@@ -124,13 +124,13 @@ class Block:
     @cached_property
     def located(self) -> Index:
         """(m,) points with a place."""
-        return np.flatnonzero(np.all(np.isfinite(self.places), axis=1) & np.any(self.places, axis=1))
+        return np.flatnonzero(finite_rows(self.places) & np.any(self.places, axis=1))
 
     @cached_property
     def median_height(self) -> float:
         """Height (m) above the ellipsoid, of some of the points; 0 where none has a place."""
         some = self.places[self.located[thinned(self.located.size, 10_000)]]
-        return float(np.median(geodetic(some, self.images[0].body)[:, 2])) if len(some) else 0.0
+        return float(np.median(ellipsoidal_heights(some, self.images[0].body))) if len(some) else 0.0
 
     @cached_property
     def rays_by_image(self) -> list[Index]:
@@ -434,7 +434,7 @@ def near_points(network: Network, places: Array, point: str) -> Index | None:
     images = np.union1d(rays.image[rays.point == number], ranges.image[ranges.point == number])
     is_near = np.zeros(len(network.points), dtype=bool)
     is_near[rays.point[np.isin(rays.image, images)]] = is_near[ranges.point[np.isin(ranges.image, images)]] = True
-    members = np.flatnonzero(is_near & np.all(np.isfinite(places), axis=1))
+    members = np.flatnonzero(is_near & finite_rows(places))
     distances = np.linalg.norm(places[members] - places[number], axis=1)
     return np.sort(members[np.argsort(distances, kind="stable")[:_MOST_NEAR]])
 
@@ -460,7 +460,7 @@ def _kind(path: Path) -> Kind:
 
 def _centre(block: Block) -> Array:
     """Middle (3,) in m of the points, or of what the images see where no point has a place."""
-    if np.any(np.all(np.isfinite(block.places), axis=1)):
+    if np.any(finite_rows(block.places)):
         return centre_of(block.places)
     outlines = [area.outline for area in network_footprints(block.network, block.places) if len(area.outline)]
     require(outlines, "studio", "no point with a place, and no image that sees the ground", "one of them")

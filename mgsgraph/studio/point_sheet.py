@@ -16,7 +16,7 @@ from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.files.output.table import plain, vector
 from mgsgraph.files.rasters.pictures import picture_size, read_picture_part
 from mgsgraph.geometry.body import geodetic, planetocentric
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, finite_rows, sigmas_of
 from mgsgraph.matching.chips import stretched
 from mgsgraph.matching.equations import SplinePicture
 from mgsgraph.matching.least_squares import MatchStatus, match_least_squares
@@ -69,7 +69,7 @@ def point_sheet(opened: Opened, point: str) -> dict[str, Any]:
         "class": PointClass(int(block.network.points.classes[number])).name.lower(),
         "kind": PointKind(int(block.network.points.kinds[number])).name.lower(),
         "place": _place(block, block.places[number]), "map_m": vector(points.plane[number]),
-        "sigmas_m": vector(np.sqrt(np.diagonal(points.local[number]))),
+        "sigmas_m": vector(sigmas_of(points.local[number])),
         "rays": [_ray(opened, block, number, k) for k in rays.tolist()], "adjusted": block.adjusted,
     }  # fmt: skip
 
@@ -160,7 +160,7 @@ def correlations(opened: Opened, point: str) -> dict[str, Any]:
     variances = np.diagonal(points.local, axis1=1, axis2=2)
     with np.errstate(invalid="ignore", divide="ignore"):
         coefficients = axes / np.sqrt(variances[number] * variances)
-    candidates = np.flatnonzero(np.all(np.isfinite(coefficients), axis=1) & (np.arange(len(coefficients)) != number))
+    candidates = np.flatnonzero(finite_rows(coefficients) & (np.arange(len(coefficients)) != number))
     largest = np.abs(coefficients[candidates]).max(axis=1, initial=0.0)
     chosen = candidates[np.argsort(-largest, kind="stable")[:_SHOWN]]
     distances = np.linalg.norm(block.places - block.places[number], axis=1)

@@ -48,7 +48,7 @@ def _links(opened: Opened, reason: Reason) -> list[dict[str, str]]:
     network, words = opened.block().network, [reason.what, *reason.what.replace(",", " ").split()]
     points = [word for word, number in zip(words, network.points.ids.find(words).tolist(), strict=True) if number >= 0]
     points += [row["point"] for row in _worst_measurements(opened)] if reason.cause in _OF_MANY else []
-    kinds = {"image": [image.name for image in network.images], "profile": network.shift_names}
+    kinds = {"image": network.image_names, "profile": network.shift_names}
     named = [(kind, name) for kind, names in kinds.items() for name in names if name in reason.what]
     named += [("point", name) for name in dict.fromkeys(points)]
     return [{"kind": kind, "name": name} for kind, name in named]

@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from outside import refuses
 
 from mgsgraph.adjustment.cluster import connection
 from mgsgraph.adjustment.cluster.connection import Connection, Lost, open_cluster
@@ -59,8 +60,7 @@ def test_a_scheduler_without_tls_is_refused() -> None:
     ["", "local:0", "local:x", "local:99999", "127.0.0.1:8786", "tls://host:70000", "tls://host:8786/x"],
 )
 def test_other_places_are_refused(text: str) -> None:
-    with pytest.raises(InputError, match=r"^--cluster .*expected .*(local:N|1 to)"):
-        parse_cluster(text)
+    refuses(r"^--cluster .*expected .*(local:N|1 to)", parse_cluster, text)
 
 
 def test_numba_num_threads_is_shared_out(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from networks import network, pair, with_shift_and_surface
+from outside import refuses
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.cluster import connection, partitions
@@ -187,8 +188,7 @@ def test_a_worker_that_goes_ends_the_adjustment() -> None:
 
 def test_a_memory_limit_below_a_partition() -> None:
     message = r"worker w0 .*limit of 0\.40 GB; expected at least 0\.4\d GB for a partition of \d+ points \(0\.00"
-    with pytest.raises(InputError, match=message):
-        adjusted(_Village(2, limit=int(0.4e9)), SolverSettings())
+    refuses(message, adjusted, _Village(2, limit=int(0.4e9)), SolverSettings())
 
 
 def test_a_gpu_on_a_cluster_is_refused(

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from explicit_form import by_gtsam
 from networks import network, pair
+from outside import refuses
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.covariances import prior_covariance
@@ -17,7 +18,6 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.analysis.grouping import group_rows, scaled
 from mgsgraph.analysis.measures import MeasureKind, names_of
 from mgsgraph.analysis.reliability import reliability
-from mgsgraph.errors import InputError
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.altimetry import footprint_covariances
 from mgsgraph.geometry.body import east_north_up
@@ -196,7 +196,5 @@ def test_they_are_measures_with_redundancy_and_a_group(tmp_path) -> None:  # typ
 def test_what_they_cannot_be() -> None:
     net = crossed()
     assert net.crossovers is not None
-    with pytest.raises(InputError, match="crossovers"):
-        replace(net, crossovers=replace(net.crossovers, shots=np.zeros((6, 4))))
-    with pytest.raises(InputError, match="crossovers of laser profiles"):
-        select_points(replace(net, shared=()), np.arange(5))
+    refuses("crossovers", replace, net, crossovers=replace(net.crossovers, shots=np.zeros((6, 4))))
+    refuses("crossovers of laser profiles", select_points, replace(net, shared=()), np.arange(5))

@@ -82,7 +82,7 @@ def mismatched(net: Network, rng: np.random.Generator, count: int = 12) -> Plant
 def _named(found: Drivers, net: Network) -> list[str]:
     """The first three names of what is said first; the image with the largest share where nothing stands out."""
     one = (*found.flagged, *found.contributions)[0]
-    names = [image.name for image in net.images] if one.kind == Kind.IMAGE else net.points.ids
+    names = net.image_names if one.kind == Kind.IMAGE else net.points.ids
     return [names[i] for i in one.members[: min(3, one.flagged or 1)].tolist()]
 
 

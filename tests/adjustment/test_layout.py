@@ -15,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from networks import network, pair, with_shift_and_surface
 from odd_networks import random_network
+from outside import refuses
 
 import mgsgraph
 from mgsgraph.adjustment.adjust import adjust_network
@@ -23,7 +24,6 @@ from mgsgraph.adjustment.graph import BundleGraph, lay_out, patterns, rows
 from mgsgraph.adjustment.rounds import about_predicted_lines
 from mgsgraph.adjustment.settings import Angles, Line, SolverSettings
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.errors import InputError
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import east_north
@@ -239,8 +239,7 @@ def test_no_room_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(rows.os, "posix_fallocate", full)
-    with pytest.raises(InputError, match="No space left"):
-        rows.Storage(0.0).room(10)
+    refuses("No space left", rows.Storage(0.0).room, 10)
 
 
 @pytest.mark.parametrize("net", [network(pair()), with_shift_and_surface(network(pair()))])

@@ -9,6 +9,7 @@ import pytest
 from explicit_form import by_gtsam
 from mex_block import BlockSettings, TrajectoryErrors, simulate_hrsc_block
 from networks import NODES, network, on_passes, pair, with_shift_and_surface
+from outside import refuses
 from redraw import forward_intersection, redraw
 from sharing import with_all_kinds
 
@@ -101,8 +102,7 @@ def test_a_mounting_changes_nothing_but_the_axes(line: Line, optics: bool) -> No
 
 
 def test_mountings_that_cannot_be() -> None:
-    with pytest.raises(InputError, match="looks away"):
-        Detector(np.zeros((1, 2)), np.ones((1, 2))).in_axes(turned(1.7, 0.0, 0.0), 0.7)
+    refuses("looks away", Detector(np.zeros((1, 2)), np.ones((1, 2))).in_axes, turned(1.7, 0.0, 0.0), 0.7)
     with pytest.raises(InputError, match="solver, angles"):  # angles that are added have none
         adjust_network(mounted(network(pair(ties=10, shots=4))), SolverSettings(angles="opk-paper"))
 
@@ -204,11 +204,11 @@ def test_profiles_of_images_together_are_each_by_itself(
         np.testing.assert_array_equal(found.position_before[at], picture.pose(lines).position)
         np.testing.assert_allclose(found.position_after[at], picture.pose(lines, correction).position, rtol=1e-14)
         basis = np.kron(correction.basis(picture.moments(lines)), np.eye(6)).reshape(PLACES, 6, -1)
-        covariance = basis @ solution.correction_covariance(image) @ np.swapaxes(basis, 1, 2)
+        covariance = basis @ solution.correction_covariance(image) @ basis.mT
         sigmas = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)[:, :3])
         np.testing.assert_allclose(found.position_sigma[at], sigmas, rtol=1e-9, atol=1e-12)
         axes = correction.axes(picture.pose(lines), picture.moments(lines))
-        turned = axes @ covariance[:, 3:, 3:] @ np.swapaxes(axes, 1, 2)
+        turned = axes @ covariance[:, 3:, 3:] @ axes.mT
         sigmas = np.sqrt(np.diagonal(turned, axis1=1, axis2=2))
         np.testing.assert_allclose(found.rotation_sigma[at], sigmas, rtol=1e-9, atol=1e-15)
         one = posterior.pose(picture.name, float(lines[2])).covariance

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from explicit_form import by_gtsam
 from networks import pair
+from outside import refuses
 from stereo_pair import stereo_network, surface
 
 from mgsgraph import compiled
@@ -16,7 +17,6 @@ from mgsgraph.adjustment.graph import lay_out
 from mgsgraph.adjustment.graph.stereo import require_seen
 from mgsgraph.adjustment.settings import Loss, SolverSettings
 from mgsgraph.analysis.posterior import Posterior
-from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.stereo_surface import SurfaceHeights, heights_above
 from mgsgraph.network import PointClass, Ranges, SharedKind, SharedUnknown
@@ -160,8 +160,7 @@ def test_points_that_the_images_do_not_see_are_refused() -> None:
     far = np.where(net.stereo.surface[:, None] >= 0, -1.0, 1.0) * np.nan_to_num(net.points.places)
     layout = lay_out(replace(net, stereo=replace(net.stereo, starts=far)), SolverSettings())
     assert layout.stereo is not None
-    with pytest.raises(InputError, match="stereo surface"):
-        require_seen(layout.network, layout.stereo)
+    refuses("stereo surface", require_seen, layout.network, layout.stereo)
 
 
 def test_a_profile_of_unknown_height_and_drift_is_raised_to_the_surface() -> None:

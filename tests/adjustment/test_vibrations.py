@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from ctx_pair import PIXEL, CtxSettings, JitterSettings, SimulatedCtxPair, image_times, simulate_ctx_pair
+from outside import refuses
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.factor_graph import factor_graph
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import Sine
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network, SharedUnknown
@@ -73,11 +73,9 @@ def test_what_neither_lines_nor_rays_resolve_is_refused(frequencies: tuple[float
     net = simulate_ctx_pair(CtxSettings(ties=30), 5).network
     shared = [one for frequency in frequencies for one in vibrating(net, frequency).shared]
     named = tuple(replace(one, name=f"{one.name} {k}") for k, one in enumerate(shared))
-    with pytest.raises(InputError, match=said):
-        adjust_network(replace(net, shared=named), PLAIN)
+    refuses(said, adjust_network, replace(net, shared=named), PLAIN)
 
 
 @pytest.mark.parametrize("frequency", [0.01, np.nan, np.inf, -2.0])
 def test_what_is_slower_than_the_pass_is_refused(frequency: float) -> None:
-    with pytest.raises(InputError, match="one cycle or more"):
-        Sine(frequency, 0.0, 8.0)
+    refuses("one cycle or more", Sine, frequency, 0.0, 8.0)

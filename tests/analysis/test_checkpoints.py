@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from commands import rows_of, run
 from networks import network, pair
+from outside import refuses
 from redraw import redraw
 from scipy.special import chdtri
 from sites import plain_site
@@ -177,5 +178,4 @@ def test_what_is_no_known_point_is_refused(known_case: Path) -> None:
         ("NONE", r"case.toml, checkpoints: no point 'NONE'; expected ids of points"),
     ):
         known_case.write_text(text.replace('"TIE00003"', f'"{name}"'), encoding="utf-8")
-        with pytest.raises(InputError, match=message):
-            mgsgraph.read_case(known_case)
+        refuses(message, mgsgraph.read_case, known_case)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from networks import network, pair, with_shift_and_surface
 from odd_networks import seen_by_the_held_one_alone, with_fixed
+from outside import refuses
 from redraw import redraw
 from scipy.stats import kstest
 from stereo_pair import on_surface, stereo_network
@@ -154,8 +155,7 @@ def test_scaling_a_group_scales_its_sigmas_and_no_others() -> None:
         }
         for other, ratio in ratios.items():
             assert np.allclose(ratio, 3.0 if other == name else 1.0), (name, other)
-    with pytest.raises(InputError, match="factors of sigmas"):
-        scaled(net, grouping, np.zeros(len(grouping.names)))
+    refuses("factors of sigmas", scaled, net, grouping, np.zeros(len(grouping.names)))
 
 
 @cache

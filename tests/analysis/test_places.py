@@ -9,6 +9,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pytest
 from networks import network, pair
+from outside import refuses
 
 import mgsgraph
 from mgsgraph.adjustment.adjust import adjust_network
@@ -17,7 +18,6 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.places import State, View, on_surface, sigma_grid
 from mgsgraph.analysis.posterior import Pixel, Posterior
 from mgsgraph.analysis.statistics import local_sigmas
-from mgsgraph.errors import InputError
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.files.place_table import PlaceTable
 from mgsgraph.geometry.body import east_north_up, from_planetocentric, geodetic, planetocentric
@@ -114,7 +114,7 @@ def test_sigmas_by_numeric_derivatives(solution: Solution, on_relief: bool) -> N
         ground_slopes.append((sides[0][1] - sides[1][1]) / (2.0 * step[k]))
     for slopes, found in ((image_slopes, into.covariances), (ground_slopes, ground.covariances)):
         design = np.stack(slopes, axis=2)
-        wanted = design @ covariance @ np.swapaxes(design, 1, 2)
+        wanted = design @ covariance @ design.mT
         assert found is not None
         np.testing.assert_allclose(found, wanted, rtol=2e-3, atol=2e-3 * np.abs(wanted).max())
 
@@ -148,7 +148,7 @@ def left_out(solution: Solution, number: int) -> tuple[Array, Array, Array, Arra
     network = solution.network
     ties = network.points.classes[network.rays.point] == PointClass.TIE
     errors, sigmas, own, beyond = [], [], [], []
-    low, high = np.nanmin(heights := geodetic(solution.places, network.images[0].body)[:, 2]), np.nanmax(heights)
+    low, high = np.nanmin(heights := geodetic(solution.places, network.body)[:, 2]), np.nanmax(heights)
     for k in np.flatnonzero((network.rays.image == number) & solution.rays_used & ties):
         point = network.rays.point[k]
         others = solution.determined & (np.arange(len(network.points)) != point)
@@ -192,7 +192,7 @@ def test_heights_about_a_place_are_honest_against_a_truth() -> None:
     with TemporaryDirectory() as folder:
         found = mgsgraph.adjust(mgsgraph.read_case(Path(write_pair(pair, Path(folder)))))
     checked(found, 0, 100.0)
-    view, true = View.adjusted(found, 0), geodetic(pair.true_ties, found.network.images[0].body)[:, 2]
+    view, true = View.adjusted(found, 0), geodetic(pair.true_ties, found.network.body)[:, 2]
     normalised = []
     for k in range(len(true)):
         others = replace(found, determined=found.determined & (np.arange(len(found.places)) != k))
@@ -237,8 +237,7 @@ def test_what_moves_a_terrain_model_is_in_the_sigma_of_its_heights() -> None:
 
 def test_without_a_height_nor_points_it_is_refused(solution: Solution) -> None:
     view, pixel = View(solution.network.images[0]), PlaceTable.of_pixels(np.array([[5.0, 5.0]]), False)
-    with pytest.raises(InputError, match="--height"):
-        project_places(view, pixel, Surface(), isis=False)
+    refuses("--height", project_places, view, pixel, Surface(), isis=False)
 
 
 # --- sigmas over an overlap
@@ -285,13 +284,10 @@ def test_with_the_orientation_held_sigmas_go_with_those_of_the_measures() -> Non
 
 
 def test_what_makes_no_raster_is_refused() -> None:
-    names = [image.name for image in posterior().network.images]
-    with pytest.raises(InputError, match="two or more different images"):
-        sigma_grid(posterior(), [names[0], names[0]])
-    with pytest.raises(InputError, match=r"cells of .* at most; choose larger cells"):
-        sigma_grid(posterior(), names, cell=0.5)
-    with pytest.raises(InputError, match="image nowhere: no such image"):
-        sigma_grid(posterior(), [names[0], "nowhere"])
+    names = posterior().network.image_names
+    refuses("two or more different images", sigma_grid, posterior(), [names[0], names[0]])
+    refuses(r"cells of .* at most; choose larger cells", sigma_grid, posterior(), names, cell=0.5)
+    refuses("image nowhere: no such image", sigma_grid, posterior(), [names[0], "nowhere"])
 
 
 def test_an_overlap_of_parallel_rays_is_refused() -> None:
@@ -299,8 +295,7 @@ def test_an_overlap_of_parallel_rays_is_refused() -> None:
     twin = replace(net.images[0], name="twin")
     both = replace(net, images=(*net.images, twin), priors=(*net.priors, net.priors[0]), held=np.zeros(3, dtype=bool))
     asked = Posterior.of(adjust_network(both, SolverSettings()))
-    with pytest.raises(InputError, match="all but parallel"):
-        sigma_grid(asked, [net.images[0].name, "twin"], cell=1000.0)
+    refuses("all but parallel", sigma_grid, asked, [net.images[0].name, "twin"], cell=1000.0)
 
 
 def around(longitudes: tuple[float, ...], offs: tuple[float, ...]) -> Posterior:

@@ -15,6 +15,7 @@ import pytest
 from explicit_form import of_layout
 from networks import network, pair, with_shift_and_surface, with_tilting_surface
 from odd_networks import with_fixed
+from outside import refuses
 from sharing import shared, with_all_kinds
 
 from mgsgraph.adjustment.adjust import adjust_network
@@ -164,7 +165,7 @@ def pose_jacobian(posterior: Posterior, image: int, line: float) -> np.ndarray:
 def test_poses_and_pairs_of_poses_have_the_dense_covariance(name: str) -> None:
     whole = dense(solved(name))
     posterior = whole.posterior
-    names = [image.name for image in posterior.network.images]
+    names = posterior.network.image_names
     lines = [0.0, 700.0]
     jacobians = [pose_jacobian(posterior, j, line) for j, line in enumerate(lines)]
     for j in range(2):
@@ -244,10 +245,8 @@ def test_new_rays_that_miss_each_other_say_by_how_much_or_are_refused() -> None:
     misfit = posterior.intersection(pixels).misfit
     assert misfit is not None
     assert misfit < 4.0
-    with pytest.raises(InputError, match="miss each other by"):
-        posterior.intersection([pixels[0], replace(pixels[1], line=pixels[1].line + 200.0)])
-    with pytest.raises(InputError, match="a place in the image of"):
-        posterior.intersection([pixels[0], replace(pixels[1], sample=99999.0)])
+    refuses("miss each other by", posterior.intersection, [pixels[0], replace(pixels[1], line=pixels[1].line + 200.0)])
+    refuses("a place in the image of", posterior.intersection, [pixels[0], replace(pixels[1], sample=99999.0)])
 
 
 @pytest.mark.parametrize("name", ["pair", "shift and surface", "fixed points"])
@@ -345,7 +344,7 @@ def measures(posterior: Posterior, names: Sequence[str]) -> dict[tuple[str, int,
         name = posterior.network.points.ids[int(every.point[k])]
         if name in names:
             image = posterior.network.images[int(every.image[k])].name
-            key = name, [one.name for one in small().network.images].index(image), int(every.component[k])
+            key = name, small().network.image_names.index(image), int(every.component[k])
             found[key] = float(every.redundancy[k]), float(every.test[k]), float(every.detectable[k])
     return found
 
@@ -497,5 +496,4 @@ def test_robust_losses_and_held_networks_say_nothing() -> None:
                          ({"profile": np.array([np.nan, 0.0])}, "2 finite numbers")],
 )  # fmt: skip
 def test_what_nothing_is_known_of_is_refused(values: dict[str, np.ndarray], says: str) -> None:
-    with pytest.raises(InputError, match=says):
-        likelihood().ratio(values)
+    refuses(says, likelihood().ratio, values)

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mex_block import BlockSettings, SimulatedBlock, TrajectoryErrors, simulate_hrsc_block
 from mex_flight import Jitter, PointMatching, pass_correction
+from outside import refuses
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.factor_graph import factor_graph
@@ -85,8 +86,7 @@ def test_node_without_rays_is_named() -> None:
     hidden[mine.rays[(mine.times >= nodes.times[9 - reach]) & (mine.times <= nodes.times[9 + reach])]] = True
     net = replace(net, rays=replace(net.rays, rejected=hidden))
     assert np.flatnonzero(support_of(net.passes[0].nodes, useful_rays(net, 0)).weak).tolist() == [9]
-    with pytest.raises(InputError, match=r" 10 at .*rays near it"):
-        require_supported(net)
+    refuses(r" 10 at .*rays near it", require_supported, net)
 
 
 def test_rays_that_place_nothing_do_not_count() -> None:
@@ -269,8 +269,7 @@ def test_planted_strengths_are_found() -> None:
 
 
 def test_nothing_to_estimate_is_said() -> None:
-    with pytest.raises(InputError, match="none that is to be estimated"):
-        estimated_strengths(network(1, 1.0, estimated=False), SolverSettings())
+    refuses("none that is to be estimated", estimated_strengths, network(1, 1.0, estimated=False), SolverSettings())
 
 
 def test_other_strengths_need_no_adjustment(monkeypatch: pytest.MonkeyPatch) -> None:

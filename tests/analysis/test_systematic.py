@@ -17,6 +17,7 @@ from ctx_pair import (
     simulate_ctx_pair,
 )
 from networks import network, pair, with_shift_and_surface
+from outside import refuses
 from scipy.signal import lombscargle
 from sites import plain_site
 
@@ -40,7 +41,6 @@ from mgsgraph.analysis.residual_spectrum import (
 from mgsgraph.analysis.systematic import EffectKind
 from mgsgraph.analysis.unexplained import unexplained
 from mgsgraph.case.reading import Case, adjust, read_case
-from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.records import Array
 from mgsgraph.kernel.rows import IMAGE, RANGE
@@ -139,8 +139,7 @@ def test_jitter_is_named_and_good_data_name_nothing(case: Case) -> None:
 
 
 def test_a_level_that_is_no_probability_is_refused() -> None:
-    with pytest.raises(InputError, match="level"):
-        unexplained(adjust_network(net(), PLAIN), 1.0)
+    refuses("level", unexplained, adjust_network(net(), PLAIN), 1.0)
 
 
 # --- vibrations in residuals

@@ -129,7 +129,7 @@ def test_orientations_that_no_sigma_allows(good: Solution) -> None:
     assert is_valid(near)
     assert not is_valid(far)
     (one,) = [one for one in verdict(far).of(Cause.ORIENTATION) if one.state is State.INVALID]
-    assert one.what in [image.name for image in far.network.images]
+    assert one.what in far.network.image_names
     assert one.size == pytest.approx(1.01 * IMPOSSIBLE)
     assert "INVALID" in state_of(far)
     held = replace(far.network, held=np.ones(len(far.network.images), dtype=bool))

@@ -71,7 +71,7 @@ def test_intervals_by_the_likelihood(result: Path, tmp_path: Path, said_by: Said
 
 def test_questions_are_answered_in_their_order(result: Path, tmp_path: Path, said_by: Said) -> None:
     solution = read_solution(result)
-    points, images = solution.network.points.ids, [image.name for image in solution.network.images]
+    points, images = solution.network.points.ids, solution.network.image_names
     said = said_by(
         "analyze", result, "--point", points[0], "--pair", points[0], points[1], "--pose", images[0], 10.0,
         "--pose", images[1], 20.0, "--projection", points[0], images[1], "--correlations",
@@ -88,7 +88,7 @@ def test_questions_are_answered_in_their_order(result: Path, tmp_path: Path, sai
 
 def test_new_places_and_their_raster(result: Path, tmp_path: Path, said_by: Said) -> None:
     solution = read_solution(result)
-    names = [image.name for image in solution.network.images]
+    names = solution.network.image_names
     mine = np.flatnonzero(solution.network.rays.point == 0)
     pixels = [
         part

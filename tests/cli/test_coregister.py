@@ -12,6 +12,7 @@ import profiles as mola_profiles
 import pytest
 import relief_site
 from commands import call, refusal, rows_of, run
+from outside import refuses
 from sites import plain_site
 
 import mgsgraph
@@ -186,7 +187,7 @@ def test_a_project_has_the_surfaces_from_then_on(
     monkeypatch.setattr(project_relief, "register_by_relief", registered)
     assert call("align", project, "--no-figures", "--search", 600) == 0
     case, settings = given
-    assert {image.name for image in case.network.images} == set(settings.images)
+    assert set(case.network.image_names) == set(settings.images)
     assert case.network.stereo is None
     assert len(case.network.points) == len(registration.solution.network.points)
     assert {path.name for path in (project / "solutions" / "0001").iterdir()} == TABLES
@@ -240,8 +241,7 @@ def test_posts_that_two_images_may_show_are_taken() -> None:
         pixels = image.ground_to_image(posts.points, posterior.correction(j))[0]
         assert np.all((pixels > -500.0) & (pixels < np.array([image.lines, image.samples]) + 500.0))
     away = replace(model, lattice=replace(model.lattice, located=lambda *at: -model.lattice.located(*at)))
-    with pytest.raises(InputError, match="none in two images"):
-        cells_of((away,), posterior, relief_site.SETTINGS)
+    refuses("none in two images", cells_of, (away,), posterior, relief_site.SETTINGS)
 
 
 @pytest.mark.slow

@@ -13,10 +13,10 @@ import profiles
 import pytest
 import rasterio
 from commands import call, refusal, refused, rows_of, run
+from outside import refuses
 from rasterio.warp import transform
 
 import mgsgraph
-from mgsgraph.errors import InputError
 from mgsgraph.files.altimetry.shots import read_shots
 from mgsgraph.files.networks.pvl import write_pvl_network
 from mgsgraph.files.networks.tie_points import control_network
@@ -274,14 +274,12 @@ def test_results_and_projects_show_their_shots_as_adjusted(
         call("adjust", case_file, "--out", source, "--no-figures")
     else:
         call("project", "init", source, "--case", case_file)
-        with pytest.raises(InputError, match="without a batch solution"):
-            call("footprints", source, profile)
+        refuses("without a batch solution", call, "footprints", source, profile)
         call("project", "solve", source, "--no-figures")
     capsys.readouterr()
     call("footprints", source, profile, "--image", "/A", "--along", "--out", tmp_path / "found.csv")
     assert f"SIM/A: {profiles.SHOTS} shots of 1 profile fall in it, 18933 taken along" in capsys.readouterr().out
-    with pytest.raises(InputError, match="SIM: a part of 2 names"):
-        call("footprints", source, profile, "--image", "SIM")
+    refuses("SIM: a part of 2 names", call, "footprints", source, profile, "--image", "SIM")
 
     shots = read_shots(tmp_path / "found.csv")
     off = []

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from click.exceptions import Abort
 from commands import call, refusal, run, run_afresh
+from outside import refuses
 
-from mgsgraph.errors import InputError
 from mgsgraph.export.verdicts import network_digest
 from mgsgraph.files.networks.binary import read_control_network, read_network
 from mgsgraph.matching import match as matching
@@ -83,11 +83,9 @@ def test_ties_of_a_case_give_way_to_those_named(case_file: Path, tmp_path: Path)
     own = case_file.with_name("network.pvl")
     other = tmp_path / "other.pvl"
     shutil.move(own, other)
-    with pytest.raises(InputError, match=r"network\.pvl"):
-        call("check", case_file)
+    refuses(r"network\.pvl", call, "check", case_file)
     assert call("check", case_file, "--ties", other) == 0
-    with pytest.raises(InputError, match=r"none\.pvl: no such file"):
-        call("check", case_file, "--ties", tmp_path / "none.pvl")
+    refuses(r"none\.pvl: no such file", call, "check", case_file, "--ties", tmp_path / "none.pvl")
 
 
 # ---- going on
@@ -214,8 +212,7 @@ def test_united_and_selected(network: Path, capsys: pytest.CaptureFixture[str]) 
         (folder / name).write_text("".join([rows[0], *(row for row in rows if f",{image}," in row)]))
     parts = [folder / "a.csv", folder / "b.csv", "--out", folder / "both.net", "--body", "MARS"]
 
-    with pytest.raises(InputError, match=r"an id that .*a\.csv has, too; .*--duplicates"):
-        convert(*parts)
+    refuses(r"an id that .*a\.csv has, too; .*--duplicates", convert, *parts)
     assert convert(*parts, "--duplicates", "first") == 0
     assert "United: 20 points of several files, with 20 more measures" in capsys.readouterr().out
     before, after = ([(m.serial_number, m.line) for one in each.points for m in one.measures]
@@ -224,8 +221,7 @@ def test_united_and_selected(network: Path, capsys: pytest.CaptureFixture[str]) 
     assert convert(folder / "both.net", "--out", folder / "part.net", "--image", "SIM/*") == 0
     assert len(read_network(folder / "part.net").points) == 20
     for wrong, found in ((["--image", "SIM/A"], "no point"), (["--out", folder / "both.net"], "one of the files")):
-        with pytest.raises(InputError, match=found):
-            convert(folder / "both.net", "--out", folder / "c.net", *wrong)
+        refuses(found, convert, folder / "both.net", "--out", folder / "c.net", *wrong)
     with pytest.raises(click.UsageError, match="one file alone"):
         convert(network)
 
@@ -247,7 +243,6 @@ def test_a_file_of_the_format_that_is_read_is_not_taken_for_out(network: Path, t
     for name in ("a.csv", "b.csv"):
         assert convert(network, tmp_path / name) == 0
 
-    with pytest.raises(InputError, match="--replace"):
-        convert(tmp_path / "a.csv", tmp_path / "b.csv")
+    refuses("--replace", convert, tmp_path / "a.csv", tmp_path / "b.csv")
 
     assert convert("--replace", tmp_path / "a.csv", tmp_path / "b.csv") == 0

@@ -51,7 +51,7 @@ image_sigma_px = 5.0
 
 def control(adjusted: Path) -> str:
     solution = read_solution(adjusted / "results")
-    place = geodetic(solution.places[:1], solution.network.images[0].body)[0]
+    place = geodetic(solution.places[:1], solution.network.body)[0]
     longitude, latitude, height = (place / [DEG, DEG, 1.0]).tolist()
     return (
         f'[[control]]\nname = "hill"\nlongitude_deg = {longitude}\nlatitude_deg = {latitude}\n'

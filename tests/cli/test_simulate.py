@@ -12,10 +12,10 @@ from pathlib import Path
 
 import pytest
 from commands import COMMAND, call, refusal, refused, run, run_afresh
+from outside import refuses
 
 from mgsgraph.adjustment.cluster.connection import open_cluster
 from mgsgraph.cli import group
-from mgsgraph.errors import InputError
 from mgsgraph.simulation.demo.demonstration import STAGES
 
 
@@ -210,11 +210,9 @@ def test_a_scheduler_that_does_not_answer(sites: Path, tmp_path: Path, monkeypat
     monkeypatch.setattr("mgsgraph.project.campaign.open_cluster", partial(open_cluster, timeout=0.5))
     out = tmp_path / "out"
     command = ["batch", str(sites), "--out", str(out), "--cluster", "tcp://127.0.0.1:9"]
-    with pytest.raises(InputError, match=r"no scheduler answers there within 0\.5 s"):
-        group([*command, "--insecure"], standalone_mode=False)
+    refuses(r"no scheduler answers there within 0\.5 s", group, [*command, "--insecure"], standalone_mode=False)
     for verb in (command, ["adjust", str(sites / "north" / "case.toml"), *command[2:]]):
-        with pytest.raises(InputError, match=r"expected tls://127\.0\.0\.1:9, or --insecure"):
-            group(verb, standalone_mode=False)
+        refuses(r"expected tls://127\.0\.0\.1:9, or --insecure", group, verb, standalone_mode=False)
     assert not out.exists()
 
 

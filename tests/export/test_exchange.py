@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from msgspec import structs
+from outside import refuses
 
 from mgsgraph.errors import InputError
 from mgsgraph.export import Format
@@ -73,8 +74,7 @@ def test_nothing_but_an_earlier_network_of_the_format_is_replaced(table: Path, n
     assert convert(table, table.parent / name, SETTING).written == done.written
     for path in done.written:
         path.write_bytes(b"years of work")
-        with pytest.raises(InputError, match=f"{path.name}: exists and is not .*say --replace"):
-            convert(table, table.parent / name, SETTING)
+        refuses(f"{path.name}: exists and is not .*say --replace", convert, table, table.parent / name, SETTING)
         assert path.read_bytes() == b"years of work"
         convert(table, table.parent / name, SETTING, anything=True)
         assert [path.read_bytes() for path in done.written] == before
@@ -174,8 +174,7 @@ def test_all_files_are_written_or_none(table: Path) -> None:
     folder = table.parent
     (folder / "x_offsets.txt").mkdir()
     (folder / "x_offsets.txt" / "kept").touch()
-    with pytest.raises(InputError, match=r"x_offsets.txt: can't be written"):
-        convert(table, folder / "x.nvm", SETTING)
+    refuses(r"x_offsets.txt: can't be written", convert, table, folder / "x.nvm", SETTING)
     assert sorted(path.name for path in folder.iterdir()) == ["points.csv", "x_offsets.txt"]
 
 
@@ -186,15 +185,11 @@ def test_what_is_not_known_is_asked_for(table: Path) -> None:
         ("x.nvm", "no size of image one; .*--size"), ("x.xyz", r"the ending '.xyz'; expected .pvl, .net, .*--to"),
         ("points.csv", "one of the files that are read"),
     ):  # fmt: skip
-        with pytest.raises(InputError, match=said):
-            convert(table, folder / name)
+        refuses(said, convert, table, folder / name)
     (folder / "more.csv").write_text(TABLE)
-    with pytest.raises(InputError, match=r"point a: an id that .*points.csv has, too"):
-        convert([table, folder / "more.csv"], folder / "x.csv")
-    with pytest.raises(InputError, match="convert: nothing to read"):
-        convert([], folder / "x.csv")
-    with pytest.raises(InputError, match="--to: 'xyz'; expected pvl, net"):
-        format_of(table, "xyz", "--to")
+    refuses(r"point a: an id that .*points.csv has, too", convert, [table, folder / "more.csv"], folder / "x.csv")
+    refuses("convert: nothing to read", convert, [], folder / "x.csv")
+    refuses("--to: 'xyz'; expected pvl, net", format_of, table, "xyz", "--to")
 
 
 def test_images_get_other_names(table: Path) -> None:
@@ -213,10 +208,8 @@ def test_options_become_a_setting(case_file: Path) -> None:
     assert setting.renamed == {"a=b": "c"}
     assert setting_of(case_file, (), None, "", (), None, True).target == "MARS"
     for bad in ("new=10", "new=0x5"):
-        with pytest.raises(InputError, match="--size"):
-            setting_of(None, (bad,), None, "", (), None, True)
-    with pytest.raises(InputError, match="--rename: 'a' twice"):
-        setting_of(None, (), None, "", ("a=b", "a=c"), None, True)
+        refuses("--size", setting_of, None, (bad,), None, "", (), None, True)
+    refuses("--rename: 'a' twice", setting_of, None, (), None, "", ("a=b", "a=c"), None, True)
 
 
 def named(folder: Path, target: str, **more: object) -> Path:
@@ -236,8 +229,7 @@ def test_networks_of_two_bodies_are_never_one(tmp_path: Path) -> None:
         ([mars], ExchangeSetting(ellipsoid=Ellipsoid(1737400.0, 1737400.0)), "1737400 m; expected that of Mars"),
         ([mars], ExchangeSetting(ellipsoid=Ellipsoid(3396.19, 3376.2)), "radius of 3396.19 m; .*radii are in m"),
     ):
-        with pytest.raises(InputError, match=said):
-            convert(inputs, out, setting)
+        refuses(said, convert, inputs, out, setting)
     assert not out.exists()
     convert(mars, out, ExchangeSetting(target="MARS", ellipsoid=MARS))
     assert read_network(out).target_name == "Mars"
@@ -256,12 +248,9 @@ def test_several_networks_get_the_head_of_the_first_that_names_its_body(table: P
 
 
 def test_files_that_cannot_be_meant_are_refused(table: Path) -> None:
-    with pytest.raises(InputError, match="given twice"):
-        read_networks([table, table.parent / "." / table.name])
-    with pytest.raises(InputError, match=r"\*.match: no such file"):
-        read_networks(table.parent / "*.match")
-    with pytest.raises(InputError, match=r"a folder; expected \.pvl"):
-        read_networks(table.parent)
+    refuses("given twice", read_networks, [table, table.parent / "." / table.name])
+    refuses(r"\*.match: no such file", read_networks, table.parent / "*.match")
+    refuses(r"a folder; expected \.pvl", read_networks, table.parent)
 
 
 def test_measures_beyond_their_images_are_refused(table: Path) -> None:

@@ -11,11 +11,11 @@ import pyarrow as pa
 import pytest
 import shapely
 from gis_files import degrees, odd_solution, tool
+from outside import refuses
 from pyarrow import csv, parquet
 
 import mgsgraph
 from mgsgraph.adjustment.solution import OrientationProfile, Solution, orientation_profile
-from mgsgraph.errors import InputError
 from mgsgraph.export.gis import footprint_layers, write_gis
 from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.network.connectivity import network_footprints
@@ -189,12 +189,9 @@ def test_without_the_extra_it_says_what_to_install(
     solution: Solution, module: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(InputError, match=r"pip install .mgsgraph\[tables\]"):
-        getattr(mgsgraph, f"to_{module}")(solution)
+    refuses(r"pip install .mgsgraph\[tables\]", getattr(mgsgraph, f"to_{module}"), solution)
 
 
 def test_tables_that_there_are_not(solution: Solution) -> None:
-    with pytest.raises(InputError, match=r"'heights'; expected one of orientation, .*points"):
-        mgsgraph.to_pandas(solution, "heights")
-    with pytest.raises(InputError, match="without any"):
-        mgsgraph.to_pandas(solution, "passes")
+    refuses(r"'heights'; expected one of orientation, .*points", mgsgraph.to_pandas, solution, "heights")
+    refuses("without any", mgsgraph.to_pandas, solution, "passes")

@@ -166,7 +166,7 @@ def test_other_images_and_other_places_are_said(case: Case) -> None:
         structs.replace(second, measures=(moved, *second.measures[1:])), *others, far,
     ))  # fmt: skip
 
-    made = with_content(adjusted_network(solution), source, {image.name for image in solution.network.images})
+    made = with_content(adjusted_network(solution), source, set(solution.network.image_names))
 
     points = {one.id: one for one in made.network.points}
     assert [one.serial_number for one in points[first.id].measures] == ["SIM/A", "SIM/A", "SIM/B"]

@@ -8,6 +8,7 @@ import pytest
 from chip_scene import inner, moved, ties_at
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from outside import refuses
 
 from mgsgraph.errors import InputError
 from mgsgraph.export.exchange import Selection, convert
@@ -79,16 +80,13 @@ def test_what_is_written_is_read_back(
     ],
 )
 def test_bad_verdicts_are_refused_with_their_line(tmp_path: Path, text: str, said: str) -> None:
-    with pytest.raises(InputError, match=said):
-        read_verdicts(written(tmp_path / "v.csv", text))
+    refuses(said, read_verdicts, written(tmp_path / "v.csv", text))
 
 
 def test_a_file_that_is_none_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no such file"):
-        read_verdicts(tmp_path / "none.csv")
+    refuses("no such file", read_verdicts, tmp_path / "none.csv")
     (tmp_path / "b.csv").write_bytes(b"id,verdict\n\xff\xfe,accept\n")
-    with pytest.raises(InputError, match="not UTF-8"):
-        read_verdicts(tmp_path / "b.csv")
+    refuses("not UTF-8", read_verdicts, tmp_path / "b.csv")
 
 
 @settings(max_examples=60, deadline=None)
@@ -105,10 +103,11 @@ def test_rejected_points_are_gone_and_no_others(which: set[int]) -> None:
     of = {name: Verdict.REJECT if i in which else Verdict.ACCEPT for i, name in enumerate(TIES.ids)}
     kept = apply_verdicts(TIES, Verdicts("v.csv", of, network=network_digest(TIES)))
     assert kept.ids == tuple(name for i, name in enumerate(TIES.ids) if i not in which)
-    before = {(TIES.ids[i], image): place for i, image, place in
-              zip(TIES.measure_point.tolist(), TIES.measure_image, TIES.measures.tolist(), strict=True)}  # fmt: skip
-    after = {(kept.ids[i], image): place for i, image, place in
-             zip(kept.measure_point.tolist(), kept.measure_image, kept.measures.tolist(), strict=True)}  # fmt: skip
+    before, after = (
+        {(ties.ids[i], image): place for i, image, place in
+         zip(ties.measure_point.tolist(), ties.measure_image, ties.measures.tolist(), strict=True)}
+        for ties in (TIES, kept)
+    )  # fmt: skip
     assert after == {key: place for key, place in before.items() if key[0] in kept.ids}
 
 
@@ -171,12 +170,10 @@ def test_networks_are_written_without_rejected_points(tmp_path: Path, suffix: st
     found = (read_table if suffix == ".csv" else read_network)(out)
     assert [point.id for point in found.points if point.ignore] == ["C", "D"]
     assert found.points[0].measures[0].chooser_name == ("" if suffix == ".csv" else "me")
-    with pytest.raises(InputError, match="one of the files that are read"):
-        kept(given, verdicts, given)
+    refuses("one of the files that are read", kept, given, verdicts, given)
     assert kept(given, verdicts, out) == "Ignored: 2 of 4 points"  # over an earlier one
     out.write_text("years of work")
-    with pytest.raises(InputError, match=r"kept.*: exists and is not a"):
-        kept(given, verdicts, out)
+    refuses(r"kept.*: exists and is not a", kept, given, verdicts, out)
     assert out.read_text() == "years of work"
 
 
@@ -192,7 +189,6 @@ def test_verdicts_of_a_case_that_holds_some_of_the_images(tmp_path: Path) -> Non
     write_pvl_network(network, tmp_path / "given.pvl")
     verdicts = Verdicts("v", {"B": Verdict.REJECT}, network=network_digest(reviewed))
 
-    with pytest.raises(InputError, match="verdicts about network"):
-        kept(tmp_path / "given.pvl", verdicts, tmp_path / "kept.pvl")
+    refuses("verdicts about network", kept, tmp_path / "given.pvl", verdicts, tmp_path / "kept.pvl")
     setting = ExchangeSetting(sizes={"SIM/A": (100, 100)})
     assert kept(tmp_path / "given.pvl", verdicts, tmp_path / "kept.pvl", setting) == "Ignored: 2 of 5 points"

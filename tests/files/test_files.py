@@ -11,6 +11,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+from outside import refuses
 
 from mgsgraph.errors import InputError, printable
 from mgsgraph.files.cameras.label import read_line_scan_label
@@ -75,8 +76,7 @@ def test_what_parsers_raise_is_one_line_with_the_file(raised: Exception) -> None
      '{"a": 1, "a": 2}', '{"a": 1', "[]", b'{"\xff": 1}'],
 )  # fmt: skip
 def test_json_that_no_reader_should_see(text: str | bytes) -> None:
-    with pytest.raises(InputError, match=r"^x\.json"):
-        json_object(text, "x.json")
+    refuses(r"^x\.json", json_object, text, "x.json")
 
 
 @pytest.mark.parametrize(
@@ -85,8 +85,7 @@ def test_json_that_no_reader_should_see(text: str | bytes) -> None:
      "a = " + "{b = " * 1200 + "1" + "}" * 1200, "a = " + "9" * 30, "[" + "a . " * 30 + "a]"],
 )  # fmt: skip
 def test_toml_that_takes_all_memory_or_the_stack(text: str) -> None:
-    with pytest.raises(InputError, match=r"^x\.toml"):
-        toml_table(text, "x.toml")
+    refuses(r"^x\.toml", toml_table, text, "x.toml")
 
 
 def test_toml_that_only_looks_deep() -> None:
@@ -142,8 +141,7 @@ def test_a_number_in_quotation_marks_is_a_text(tmp_path: Path) -> None:
         if good:
             assert validated(given, _Settings, path).sigma == 1.0
         else:
-            with pytest.raises(InputError, match="line 2"):
-                validated(given, _Settings, path)
+            refuses("line 2", validated, given, _Settings, path)
 
 
 # --- lines of keys: TOML of every form against where its keys were written
@@ -220,8 +218,7 @@ def test_sequences_in_one_another_are_read(text: str) -> None:
 
 @pytest.mark.parametrize("text", ["(1 2)", "((1) 2)", "((1)(2))", "(,1)", "((1)", "(1))", "(1 (2))", "(1,,2)", "(((("])
 def test_broken_sequences_are_named_with_their_line(text: str) -> None:
-    with pytest.raises(InputError, match=r"a\.lbl, line \d"):
-        whole_label(Document("a.lbl", f"Z = 1\nA = {text}\n"))
+    refuses(r"a\.lbl, line \d", whole_label, Document("a.lbl", f"Z = 1\nA = {text}\n"))
 
 
 # --- what files are, by their content
@@ -369,15 +366,13 @@ def test_what_a_list_misses_is_named_with_its_line(tmp_path: Path) -> None:
     path.write_text("é.cub\n" * 2, encoding="utf-8")
     assert listed_names(path) == ["é.cub"] * 2
     path.write_text("# none\n", encoding="utf-8")
-    with pytest.raises(InputError, match="no file"):
-        listed_names(path)
+    refuses("no file", listed_names, path)
 
 
 def test_the_state_of_a_frame_camera_is_refused_as_such(tmp_path: Path) -> None:
     path = tmp_path / "a.adjusted_state.json"
     path.write_text('USGS_ASTRO_FRAME_SENSOR_MODEL\n{"m_nLines": 1}', encoding="utf-8")
-    with pytest.raises(InputError, match="a frame camera"):
-        image_name(path, image_kind(path))
+    refuses("a frame camera", image_name, path, image_kind(path))
 
 
 FIELD = {
@@ -390,8 +385,7 @@ FIELD = {
 def test_labels_of_the_field_are_refused_for_their_cameras(shared_field: Path, name: str) -> None:
     path = shared_field / name
     assert image_kind(path) == "label"
-    with pytest.raises(InputError, match=FIELD[name]):
-        read_line_scan_label(path)
+    refuses(FIELD[name], read_line_scan_label, path)
 
 
 @pytest.mark.parametrize("head", [b"\n", b"#\n", b'"', b",", b"<??>", b"<", b"1 ", b"a.b\n", b"a."])

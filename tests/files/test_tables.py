@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from outside import refuses
 
-from mgsgraph.errors import InputError
 from mgsgraph.files.output.table import NONE, Column, Table, fixed, quoted
 from mgsgraph.files.place_table import PlaceTable, Sort, read_places
 from mgsgraph.geometry.body import geodetic, planetocentric
@@ -47,12 +47,10 @@ def test_ground_places_of_every_kind(tmp_path: Path) -> None:
 
 def test_of_both_it_has_to_be_said(tmp_path: Path) -> None:
     text = "line,sample,longitude_deg,latitude_deg\n1,2,3,4\n"
-    with pytest.raises(InputError, match="--into image"):
-        places_of(tmp_path, text)
+    refuses("--into image", places_of, tmp_path, text)
     assert places_of(tmp_path, text, "image").pixels.tolist() == [[1.0, 2.0]]
     assert places_of(tmp_path, text, "ground").pixels.shape == (0, 2)
-    with pytest.raises(InputError, match="isis_line"):
-        places_of(tmp_path, "line,sample\n1,2\n", "ground")
+    refuses("isis_line", places_of, tmp_path, "line,sample\n1,2\n", "ground")
 
 
 @pytest.mark.parametrize(
@@ -68,8 +66,7 @@ def test_of_both_it_has_to_be_said(tmp_path: Path) -> None:
     ],
 )
 def test_tables_that_are_refused(tmp_path: Path, text: str, said: str) -> None:
-    with pytest.raises(InputError, match=said):
-        places_of(tmp_path, text)
+    refuses(said, places_of, tmp_path, text)
 
 
 # --- tables of results: files, values for JSON, text, the page

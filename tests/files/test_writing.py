@@ -13,6 +13,7 @@ from hashlib import sha256
 from pathlib import Path
 
 import pytest
+from outside import refuses
 
 from mgsgraph import atomic_write
 from mgsgraph.atomic_write import beside, is_aside, made_beside, scratch, sweep
@@ -177,8 +178,7 @@ def test_nothing_else_is(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "thesis.tex"
     path.write_bytes(content)
     for attempt in (lambda: write_file(path, "new", over=TABLE), lambda: require_free(path, TABLE)):
-        with pytest.raises(InputError, match=r"thesis\.tex: exists and is not a table of ours; choose another name"):
-            attempt()
+        refuses(r"thesis\.tex: exists and is not a table of ours; choose another name", attempt)
     assert path.read_bytes() == content
     assert names(tmp_path) == ["thesis.tex"]
 
@@ -191,8 +191,7 @@ def test_a_file_that_appears_meanwhile_is_kept(tmp_path: Path) -> None:
             place.write_text("id,value")
             path.write_text("somebody else's")
 
-    with pytest.raises(InputError, match="not a table of ours"):
-        write()
+    refuses("not a table of ours", write)
     assert path.read_text() == "somebody else's"
     assert names(tmp_path) == ["out"]
 
@@ -200,8 +199,7 @@ def test_a_file_that_appears_meanwhile_is_kept(tmp_path: Path) -> None:
 def test_links_that_lead_nowhere_are_no_files(tmp_path: Path) -> None:
     for name, to in (("loop", "loop"), ("dangling", "nothing")):
         (tmp_path / name).symlink_to(to)
-        with pytest.raises(InputError, match=f"{name}: can't be written"):
-            write_file(tmp_path / name, "new")
+        refuses(f"{name}: can't be written", write_file, tmp_path / name, "new")
         assert (tmp_path / name).is_symlink()
 
 
@@ -224,8 +222,7 @@ def test_a_flipped_bit_is_found_wherever_it_is(tmp_path: Path) -> None:
         broken = bytearray(text)
         broken[place] ^= 1 << place % 8
         path.write_bytes(broken)
-        with pytest.raises(InputError, match=r"x\.json"):
-            read_record(path)
+        refuses(r"x\.json", read_record, path)
 
 
 def test_a_record_from_before_is_taken_as_it_is(tmp_path: Path) -> None:
@@ -243,8 +240,7 @@ def test_a_file_that_its_record_knows(tmp_path: Path) -> None:
     (tmp_path / MATCH).write_text(record_text({FILES: {"network.pvl": sha256(b"content").hexdigest()}}))
     require_as_recorded(network, b"content")
     require_as_recorded(tmp_path / "mine.pvl", b"other")
-    with pytest.raises(InputError, match=r"network\.pvl: is damaged, or was changed"):
-        require_as_recorded(network, b"contenu")
+    refuses(r"network\.pvl: is damaged, or was changed", require_as_recorded, network, b"contenu")
     later = (tmp_path / MATCH).stat().st_mtime + 60.0
     os.utime(network, (later, later))  # qnet has saved it
     require_as_recorded(network, b"contenu")
@@ -338,8 +334,7 @@ def test_other_pages_are_left_alone(tmp_path: Path) -> None:
     page = tmp_path / "index.html"
     page.write_text("<!doctype html><title>Mine</title>", encoding="utf-8")
     for attempt in (lambda: require_report(page), lambda: write_page(REPORT, {}, page)):
-        with pytest.raises(InputError, match=r"index\.html: exists and is not a page of mgsgraph re.*; choose another"):
-            attempt()
+        refuses(r"index\.html: exists and is not a page of mgsgraph re.*; choose another", attempt)
     assert "Mine" in page.read_text(encoding="utf-8")
 
 

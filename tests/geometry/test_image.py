@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from outside import refuses
 from strategies import along
 
-from mgsgraph.errors import EphemerisGap, InputError
+from mgsgraph.errors import EphemerisGap
 from mgsgraph.files.support_data.isd import read_isd
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.orientation import Angles, OrientationCorrection
@@ -238,8 +239,7 @@ def test_a_time_in_a_pause_belongs_to_the_line_after_it() -> None:
     ],
 )  # fmt: skip
 def test_timings_that_can_not_be(lines: list[float], starts: list[float], periods: list[float], said: str) -> None:
-    with pytest.raises(InputError, match=said):
-        LineTiming(np.array(lines), np.array(starts), np.array(periods))
+    refuses(said, LineTiming, np.array(lines), np.array(starts), np.array(periods))
 
 
 # --- records

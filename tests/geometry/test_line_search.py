@@ -137,7 +137,7 @@ def scanned(drawn: Strip) -> tuple[Index, Array, Mask]:
         """w, how far along the detector, and depth, of all points at all lines or of one point at each line."""
         pose = image.pose(lines, drawn.correction)
         off = points[None] - pose.position[:, None] if which is None else points[which, None] - pose.position[:, None]
-        ray = off @ np.swapaxes(pose.matrix, 1, 2)
+        ray = off @ pose.matrix.mT
         x, y = np.moveaxis(ray[..., :2] @ axes.T / ray[..., 2:], -1, 0)
         return x - np.interp(y, way, across), y, ray[..., 2]
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from outside import refuses
 from scipy.ndimage import map_coordinates
 from strategies import differences
 
@@ -128,14 +129,11 @@ def test_areoid_from_two_grids() -> None:
     assert found.kind == "areoid"
     np.testing.assert_allclose(found.at(point), 3392003.5)
     np.testing.assert_allclose(areoid_heights(point, found), -2003.5)
-    with pytest.raises(InputError, match="radius and topography"):
-        areoid_grid(radius, radius)
+    refuses("radius and topography", areoid_grid, radius, radius)
     with pytest.raises(InputError, match="different posts"):
         areoid_grid(radius, rough(radii=topography, kind="topography", first_latitude=-13.0 * DEG))
-    with pytest.raises(InputError, match="areoid's radius"):
-        areoid_heights(point, radius)
-    with pytest.raises(InputError, match="grid of radius"):
-        found.height_above(point)
+    refuses("areoid's radius", areoid_heights, point, radius)
+    refuses("grid of radius", found.height_above, point)
 
 
 @pytest.mark.parametrize(

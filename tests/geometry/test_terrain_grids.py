@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
+from outside import refuses
 from scipy.interpolate import RectBivariateSpline
 
 from mgsgraph.errors import InputError
@@ -55,8 +56,7 @@ def test_interpolation_between_tracks_adds_to_the_sigma() -> None:
     assert cut.radii.size < own.radii.size
     np.testing.assert_allclose(cut.height_sigmas(points[:3]), found[:3], rtol=1e-6)
     for wrong in (between[1:], between - 10.0):
-        with pytest.raises(InputError, match="gaps between tracks"):
-            replace(one, gaps=Gaps(wrong, between))
+        refuses("gaps between tracks", replace, one, gaps=Gaps(wrong, between))
 
 
 def test_points_in_one_gap_are_worth_no_more_than_one_height() -> None:
@@ -125,10 +125,8 @@ def test_heights_above_the_areoid_become_radii() -> None:
     place = heights.first_longitude + 7 * STEP, heights.first_latitude - 5 * STEP
     want, _, _ = areoid.radius(np.array(place[:1]), np.array(place[1:]))
     np.testing.assert_allclose(radii.radii[5, 7] - heights.radii[5, 7], want[0], rtol=0, atol=1e-6)
-    with pytest.raises(InputError, match="heights above the areoid"):
-        above_areoid(grid(), areoid)
-    with pytest.raises(InputError, match="areoid's radius"):
-        above_areoid(heights, grid())
+    refuses("heights above the areoid", above_areoid, grid(), areoid)
+    refuses("areoid's radius", above_areoid, heights, grid())
 
 
 # --- posts between tracks

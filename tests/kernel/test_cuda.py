@@ -28,6 +28,7 @@ from hypothesis import strategies as st
 from networks import network, on_passes, pair, with_echoes, with_shift_and_surface
 from odd_networks import case, made, one_seen_twice_by_one_image, with_fixed
 from once import once
+from outside import refuses
 from sharing import shared, with_all_kinds
 from stereo_pair import stereo_network
 
@@ -81,8 +82,7 @@ def test_auto_goes_without_a_gpu_of_too_little_memory(monkeypatch: pytest.Monkey
     monkeypatch.setattr(gpu, "_WORTHWHILE", 10)
     monkeypatch.setattr(gpu, "find_gpu", lambda: Gpu("a device", 1e3, 2))
     assert sweeper_of(SolverSettings(device="auto"), layout()) is IN_PROCESS
-    with pytest.raises(InputError, match="GB to use"):
-        sweeper_of(SolverSettings(device="cuda"), layout())
+    refuses("GB to use", sweeper_of, SolverSettings(device="cuda"), layout())
 
 
 def test_what_is_missing_is_said_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -94,8 +94,7 @@ def test_what_is_missing_is_said_in_one_line(monkeypatch: pytest.MonkeyPatch) ->
         adjust_network(net, cuda)
     assert len(str(error.value).splitlines()) == 1
     monkeypatch.setattr("mgsgraph.adjustment.gpu.find.find_spec", lambda name: None)
-    with pytest.raises(InputError, match="numba-cuda"):
-        adjust_network(net, cuda)
+    refuses("numba-cuda", adjust_network, net, cuda)
     with pytest.raises(InputError, match="device"):
         SolverSettings(device="gpu")  # type: ignore[arg-type]
 

@@ -114,7 +114,7 @@ def test_variances_are_shared_half_and_half() -> None:
     rng = np.random.default_rng(1)
     affine = np.array([[[1.1, 0.1], [-0.2, 0.8]], [[0.9, 0.0], [0.1, 1.2]], [[1.0, 0.3], [0.0, 1.0]]])
     roots = rng.standard_normal((3, 2, 2))
-    covariances = 1e-3 * (roots @ np.swapaxes(roots, 1, 2) + np.eye(2))
+    covariances = 1e-3 * (roots @ roots.mT + np.eye(2))
     whole = np.zeros(3, dtype=np.int64)
     measured = Measured(
         np.array([4, 4, 9]), np.array([1, 1, 0]), np.array([0, 2, 2]), whole,
@@ -133,7 +133,7 @@ def test_variances_are_shared_half_and_half() -> None:
     variance = np.diagonal(covariances, axis1=1, axis2=2)
     np.testing.assert_allclose(ties.measure_sigmas[[1, 3, 4]] ** 2, 0.5 * variance[[2, 0, 1]])
     inverse = np.linalg.inv(affine)
-    carried = np.diagonal(inverse @ covariances @ np.swapaxes(inverse, 1, 2), axis1=1, axis2=2)
+    carried = np.diagonal(inverse @ covariances @ inverse.mT, axis1=1, axis2=2)
     np.testing.assert_allclose(ties.measure_sigmas[0] ** 2, 0.5 * carried[2])
     np.testing.assert_allclose(ties.measure_sigmas[2] ** 2, 0.25 * (carried[0] + carried[1]))
 

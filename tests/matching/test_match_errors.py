@@ -8,6 +8,7 @@ from typing import Any
 import matched
 import numpy as np
 import pytest
+from outside import refuses
 from scipy.stats import binom
 
 from mgsgraph.errors import InputError
@@ -118,14 +119,12 @@ def test_without_opencv_the_way_to_it_is_told(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setitem(sys.modules, "cv2", None)
     nothing: Any = None
     for use in (lambda: detect(nothing, nothing, 1), lambda: sharpened(nothing)):
-        with pytest.raises(InputError, match=r'matching: OpenCV .*; pip install "mgsgraph\[match\]"'):
-            use()
+        refuses(r'matching: OpenCV .*; pip install "mgsgraph\[match\]"', use)
 
 
 def test_pixels_of_the_wrong_shape() -> None:
     image = matched.scene().pictures[0].image
-    with pytest.raises(InputError, match="640 lines x 1024 samples"):
-        Picture(image, np.zeros((1024, 640), dtype=np.uint8), matched.prior(100.0))
+    refuses("640 lines x 1024 samples", Picture, image, np.zeros((1024, 640), dtype=np.uint8), matched.prior(100.0))
 
 
 # above two seconds: three pairs are matched, one of them to nothing

@@ -7,13 +7,13 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 from networks import network, pair, with_echoes, with_neighbors, with_shift_and_surface
+from outside import refuses
 from redraw import common_noise, redraw
 from scipy.spatial import cKDTree
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.analysis.grouping import group_rows
 from mgsgraph.analysis.verdict import is_valid
-from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network
 from mgsgraph.network.common import MOST, SPHERE, CommonErrors, common_errors, common_matches, correlation
@@ -191,8 +191,7 @@ def test_a_group_may_lose_all_its_rows(neighbors: Network) -> None:
 
 def test_a_row_of_two_groups_is_refused() -> None:
     twice = np.array([3, 3])
-    with pytest.raises(InputError, match="two groups"):
-        CommonErrors(twice, np.array([0, 1]), np.ones((2, 1)), np.ones(2, dtype=int), np.ones(2))
+    refuses("two groups", CommonErrors, twice, np.array([0, 1]), np.ones((2, 1)), np.ones(2, dtype=int), np.ones(2))
 
 
 def test_the_range_of_heights_counts_as_much_as_a_circle() -> None:

@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from networks import network, pair, terrain, with_shift_and_surface
 from odd_networks import random_network
+from outside import refuses
 from stereo_pair import stereo_network
 
 from mgsgraph.errors import InputError
@@ -49,7 +50,7 @@ def measured_once(net: Network) -> Network:
 
 def rows(net: Network, points: Iterable[int] | None = None) -> dict[str, Any]:
     """All that a network says of its points (or of some that have rows), by names instead of numbers."""
-    names, ids = [image.name for image in net.images], net.points.ids
+    names, ids = net.image_names, net.points.ids
     seen = set(net.rays.point.tolist()) | set(net.ranges.point.tolist())
     seen |= set() if net.stereo is None else set(np.flatnonzero(net.stereo.surface >= 0).tolist())
     some = seen if points is None else seen & set(points)
@@ -77,7 +78,7 @@ def rows(net: Network, points: Iterable[int] | None = None) -> dict[str, Any]:
         on = {ids[i]: float(net.surface.sigmas[i]) for i in some if np.isfinite(net.surface.sigmas[i])}
         found["surface"] = (on, net.surface.shift_sigma, id(net.surface.grid)) if on else None
     if net.stereo is not None:
-        control, names = net.stereo, [image.name for image in net.images]
+        control, names = net.stereo, net.image_names
         found["stereo"] = {
             ids[i]: (id(control.surfaces[s]), [names[j] for j in control.images[s]], control.sigmas[i],
                      bool(control.rejected is not None and control.rejected[i]))
@@ -191,7 +192,7 @@ def test_part_has_the_rows_of_its_points(seed: int, data: st.DataObject) -> None
 @given(SEEDS, st.data())
 def test_without_images_keeps_what_the_others_see(seed: int, data: st.DataObject) -> None:
     net = measured_once(random_network(seed))
-    names = [image.name for image in net.images]
+    names = net.image_names
     gone = set(data.draw(st.lists(st.sampled_from(names), unique=True)))
     left, before = without_images(net, gone), rows(net)
     rest = {key: [row for row in before.get(key, []) if row[1] not in gone] for key in ("rays", "ranges")}
@@ -282,8 +283,7 @@ def test_two_terrain_models_are_refused(change: str) -> None:
     assert two.surface is not None
     sigmas = two.surface.sigmas
     other = Surface(terrain(net), sigmas, 150.0) if change == "grid" else Surface(two.surface.grid, sigmas, 10.0)
-    with pytest.raises(InputError, match="another terrain model"):
-        joined([one, replace(two, surface=other)])
+    refuses("another terrain model", joined, [one, replace(two, surface=other)])
 
 
 # --- observations

@@ -9,6 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 from networks import pair
+from outside import refuses
 from rigs import PRIOR, TURN, mounted
 
 from mgsgraph.adjustment.adjust import adjust_network
@@ -91,8 +92,7 @@ def test_images_of_several_trajectories_are_refused() -> None:
     everything = np.ones(SHOTS, dtype=bool)
     with pytest.raises(InputError, match="shots simultaneous with L1 and R1 and L2; expected images of one pass"):
         carriers(found(), everything, [], "name it")
-    with pytest.raises(InputError, match="images of one pass"):
-        carriers(found(), everything, [Members((0, 1))], "")
+    refuses("images of one pass", carriers, found(), everything, [Members((0, 1))], "")
 
 
 def test_an_image_on_its_own_carries_its_own_shots_alone() -> None:
@@ -308,8 +308,7 @@ def test_too_few_ties_and_too_few_for_a_sigma() -> None:
             measure_image=drawn.ties.measure_image[: 2 * count], measure_sigmas=drawn.ties.measure_sigmas[kept],
         )
 
-    with pytest.raises(InputError, match="2 common tie points"):
-        discrepancy(images, true_shots(), first(2))
+    refuses("2 common tie points", discrepancy, images, true_shots(), first(2))
     found = discrepancy(images, true_shots(), first(3))
     assert np.all(np.isfinite(found.pixels))
     assert np.all(np.isnan(found.pixel_sigmas))

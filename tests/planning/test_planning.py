@@ -11,12 +11,12 @@ from increments import NOISE, network_of, strip
 from mex_block import BlockSettings, TrajectoryErrors, simulate_hrsc_block
 from networks import network, pair, with_shift_and_surface
 from once import once
+from outside import refuses
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
 from mgsgraph.adjustment.settings import Loss, SolverSettings
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.errors import InputError
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior
 from mgsgraph.geometry.records import Array
@@ -331,10 +331,8 @@ def test_fixed_points_are_no_targets() -> None:
     fixed = replace(net, points=replace(net.points, kinds=kinds))
     where = state_of_solution(adjust_network(fixed, SolverSettings()))
     assert fixed.points.ids[-1] not in targets_of(where, ["all"]).points
-    with pytest.raises(InputError, match="held and has no sigma"):
-        targets_of(where, [fixed.points.ids[-1]])
-    with pytest.raises(InputError, match="'ties' beside names"):
-        targets_of(where, ["ties", net.images[0].name])
+    refuses("held and has no sigma", targets_of, where, [fixed.points.ids[-1]])
+    refuses("'ties' beside names", targets_of, where, ["ties", net.images[0].name])
 
 
 # --- candidates over images that share a trajectory

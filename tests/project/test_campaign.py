@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from outside import refuses
 
 import mgsgraph
 from mgsgraph.adjustment.cluster.connection import Lost
@@ -276,11 +277,9 @@ def test_cases_of_a_folder(tmp_path: Path) -> None:
         (tmp_path / name).touch()
     found = find_cases([tmp_path / "b" / "case.toml", tmp_path, tmp_path / "a.toml"], tmp_path / "out")
     assert [path.relative_to(tmp_path).as_posix() for path in found] == ["b/case.toml", "a.toml", "b/c/d.toml"]
-    with pytest.raises(InputError, match=r"nothing\.toml: no such file"):
-        find_cases([tmp_path / "nothing.toml"], tmp_path / "out")
+    refuses(r"nothing\.toml: no such file", find_cases, [tmp_path / "nothing.toml"], tmp_path / "out")
     (tmp_path / "empty").mkdir()
-    with pytest.raises(InputError, match="no case file"):
-        find_cases([tmp_path / "empty"], tmp_path / "out")
+    refuses("no case file", find_cases, [tmp_path / "empty"], tmp_path / "out")
 
 
 # --- what a case is made from
@@ -441,8 +440,7 @@ def test_a_record_of_which_nothing_came_goes(tmp_path: Path) -> None:
 )
 def test_a_record_that_is_none_is_refused_and_kept(text: str, said: str, tmp_path: Path) -> None:
     (tmp_path / RECORD).write_text(text, encoding="latin-1")
-    with pytest.raises(InputError, match=said):
-        open_record(tmp_path)
+    refuses(said, open_record, tmp_path)
     assert (tmp_path / RECORD).read_text(encoding="latin-1") == text
 
 
@@ -468,16 +466,13 @@ def test_a_flipped_bit_is_found(tmp_path: Path) -> None:
 
 def test_a_record_that_is_a_pipe_is_refused(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / RECORD)
-    with pytest.raises(InputError, match="is no file"):
-        open_record(tmp_path)
+    refuses("is no file", open_record, tmp_path)
 
 
 def test_foreign_folders_are_refused(tmp_path: Path) -> None:
     (tmp_path / "thesis.txt").write_text("years of work", encoding="utf-8")
-    with pytest.raises(InputError, match=r"has no campaign\.jsonl; expected an absent or empty folder"):
-        open_record(tmp_path)
-    with pytest.raises(InputError, match="exists and is a file"):
-        open_record(tmp_path / "thesis.txt")
+    refuses(r"has no campaign\.jsonl; expected an absent or empty folder", open_record, tmp_path)
+    refuses("exists and is a file", open_record, tmp_path / "thesis.txt")
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
 
 
@@ -485,8 +480,7 @@ def test_foreign_folders_are_refused(tmp_path: Path) -> None:
 def test_one_campaign_at_a_time(tmp_path: Path) -> None:
     with open_record(tmp_path) as record:
         record.append(entry())
-        with pytest.raises(InputError, match="another campaign is writing here"):
-            open_record(tmp_path)
+        refuses("another campaign is writing here", open_record, tmp_path)
     with open_record(tmp_path) as record:
         assert record.entries
 
@@ -496,8 +490,7 @@ def test_a_full_disk_leaves_whole_lines(tmp_path: Path, monkeypatch: pytest.Monk
     with open_record(tmp_path) as record:
         record.append(entry("a.toml"))
         monkeypatch.setattr(os, "write", lambda descriptor, text: write(descriptor, text[:40]))
-        with pytest.raises(InputError, match="disk is full"):
-            record.append(entry("b.toml"))
+        refuses("disk is full", record.append, entry("b.toml"))
         monkeypatch.setattr(os, "write", write)
         record.append(entry("c.toml"))
     with open_record(tmp_path) as record:

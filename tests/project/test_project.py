@@ -13,6 +13,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from outside import refuses
 from projects import StopHere, change, digest, images, interrupted
 
 from mgsgraph.adjustment.incremental.state import InMemory
@@ -89,8 +90,7 @@ def test_settings_come_back(tmp_path: Path) -> None:
 )  # fmt: skip
 def test_settings_that_make_no_sense(tmp_path: Path, text: str, said: str) -> None:
     (tmp_path / "s.toml").write_text(text)
-    with pytest.raises(InputError, match=said):
-        read_settings(tmp_path / "s.toml")
+    refuses(said, read_settings, tmp_path / "s.toml")
 
 
 def test_a_beginning_that_fails_leaves_nothing(tmp_path: Path) -> None:

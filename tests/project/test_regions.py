@@ -7,11 +7,11 @@ import time
 from pathlib import Path
 
 import pytest
+from outside import refuses
 from projects import files_of
 
 from mgsgraph.case.case_file import decode
 from mgsgraph.case.reading import read_case
-from mgsgraph.errors import InputError
 from mgsgraph.files.networks.binary import read_network
 from mgsgraph.network.connectivity import connectivity, network_footprints
 from mgsgraph.project.campaign import RECORD, run_campaign
@@ -68,13 +68,11 @@ def test_without_ties_footprints_connect(region: Path, tmp_path: Path) -> None:
 def test_what_belongs_to_all_images_and_files_of_others_are_refused(region: Path, tmp_path: Path) -> None:
     shared = region.with_name("shared.toml")
     shared.write_text(region.read_text(encoding="utf-8") + '[[shared]]\nkind = "range bias"\nsigma_m = 1.0\n', "utf-8")
-    with pytest.raises(InputError, match=r"shared\.toml, shared: "):
-        split_case(shared, tmp_path)
+    refuses(r"shared\.toml, shared: ", split_case, shared, tmp_path)
     folder = next(iter(split_case(region, tmp_path / "other").groups))
     (tmp_path / folder).mkdir()
     (tmp_path / folder / "case.toml").write_text("mine", encoding="utf-8")
-    with pytest.raises(InputError, match=f"{folder}/case.toml: .*--out"):
-        split_case(region, tmp_path)
+    refuses(f"{folder}/case.toml: .*--out", split_case, region, tmp_path)
 
 
 def test_groups_that_an_image_connects_become_one(region: Path, tmp_path: Path) -> None:

@@ -7,8 +7,8 @@ from functools import cache
 import numpy as np
 import pytest
 from networks import pair
+from outside import refuses
 
-from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.stereo_surface import averaged_surface
@@ -111,8 +111,7 @@ def test_a_shift_is_found_from_1500_m_off_in_any_direction(degrees: int) -> None
 
 
 def test_shifts_are_searched_20_km_at_most() -> None:
-    with pytest.raises(InputError, match="reach"):
-        ReliefSettings(reach=1e6)
+    refuses("reach", ReliefSettings, reach=1e6)
 
 
 def test_a_minimum_that_adjustments_do_not_reach_is_not_clear() -> None:

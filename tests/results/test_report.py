@@ -13,6 +13,7 @@ import profiles
 import pytest
 from commands import call, rows_of
 from matplotlib.quiver import Quiver
+from outside import refuses
 from pass_files import block
 
 from mgsgraph.adjustment.adjust import adjust_network
@@ -116,8 +117,7 @@ def test_the_same_inputs_give_the_same_page(page: Path, case: Case, solution: So
 
 @pytest.mark.usefixtures("no_figures")
 def test_an_earlier_page_stays_whole_and_no_other_file_is_replaced(solution: Solution, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"'.npz'; expected a page \(.html\)"):
-        write_report(solution, tmp_path / "solution.npz")
+    refuses(r"'.npz'; expected a page \(.html\)", write_report, solution, tmp_path / "solution.npz")
     earlier = '<meta name="generator" content="mgsgraph report">'
     (tmp_path / "r.html").write_text(earlier)
     others = replace(solution.network, images=tuple(
@@ -235,8 +235,7 @@ def test_other_pixels_are_refused(solution: Solution) -> None:
     images = solution.network.images
     other = replace(images[0], lines=images[0].lines - 1)
     earlier = replace(solution, network=replace(solution.network, images=(other, *images[1:])))
-    with pytest.raises(InputError, match=r"image SIM/A: \d+ x \d+ pixels; expected \d+ x \d+, as in"):
-        compare(solution, earlier)
+    refuses(r"image SIM/A: \d+ x \d+ pixels; expected \d+ x \d+, as in", compare, solution, earlier)
 
 
 # --- in a browser

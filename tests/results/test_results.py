@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from full_disk import files_of_at_most
+from outside import refuses
 
 import mgsgraph
 from mgsgraph import atomic_write
@@ -145,8 +146,7 @@ def test_a_failing_exchange_brings_the_old_result_back(tmp_path: Path, monkeypat
 
     monkeypatch.setattr(atomic_write, "_exchanged", lambda one, other: False)
     monkeypatch.setattr(Path, "rename", failing)
-    with pytest.raises(InputError, match="Input/output error"):
-        written(out, str)
+    refuses("Input/output error", written, out, str)
     assert everything(tmp_path) == before
 
 
@@ -189,8 +189,7 @@ def test_a_folder_that_fills_meanwhile_is_left_alone(tmp_path: Path) -> None:
         out.mkdir()
         (out / "thesis.tex").write_text("years of work")
 
-    with pytest.raises(InputError, match="not a result"):
-        written(out, write_elsewhere)
+    refuses("not a result", written, out, write_elsewhere)
     assert everything(tmp_path) == {"out/thesis.tex": "years of work"}
 
 
@@ -203,8 +202,7 @@ def test_a_demonstration_is_replaced_by_another_one_alone_and_no_file_among_its_
     assert_refused(out, "another kind of result")
     require_replaceable(out, "demo.json")
     (out / "inputs" / "mine.toml").write_text("")
-    with pytest.raises(InputError, match=r"'inputs/mine\.toml', too, which would be lost"):
-        require_replaceable(out, "demo.json")
+    refuses(r"'inputs/mine\.toml', too, which would be lost", require_replaceable, out, "demo.json")
 
 
 def test_the_working_folder_is_not_pulled_away(tmp_path: Path) -> None:

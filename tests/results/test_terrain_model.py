@@ -14,6 +14,7 @@ import rasterio
 import shapely
 from commands import rows_of
 from full_disk import files_of_at_most
+from outside import refuses
 from rasterio.crs import CRS
 from rasterio.warp import transform
 
@@ -188,8 +189,7 @@ def test_every_fifth_shot_is_kept_out() -> None:
     ranges = len(whole.network.ranges.point) - len(some.network.ranges.point)
     assert ranges == sum(one.times.size // 5 for one in whole.profiles) > 40
     every.write_text(path.read_text(encoding="utf-8").replace("check_every = 5", "check_every = 1"), encoding="utf-8")
-    with pytest.raises(InputError, match=r"shots\[0\]\.check_every"):
-        decode(every)
+    refuses(r"shots\[0\]\.check_every", decode, every)
 
 
 def test_another_file_is_read_with_what_the_case_says_of_its_own(tmp_path: Path) -> None:

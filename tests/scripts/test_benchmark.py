@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from outside import require
+from outside import refuses, require
 
 from mgsgraph.adjustment.batch import BundleProblem, levenberg_marquardt
 from mgsgraph.adjustment.graph import BundleGraph, lay_out
-from mgsgraph.errors import InputError, SolverError
+from mgsgraph.errors import SolverError
 
 SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 if not SCRIPTS.is_dir():
@@ -131,10 +131,8 @@ def test_the_gate_names_what_fails() -> None:
     assert speed.judged(limits, {"S: a": 2.5, "S: b": 1.0}, ["S"]) == []
     failed = speed.judged(limits, {"S: a": 1.5, "S: b": 3.0}, ["S"])
     assert failed == ["FAILED S: a: 1.5, at least 2", "FAILED S: b: 3, at most 2"]
-    with pytest.raises(InputError, match="S: b: not measured"):
-        speed.judged(limits, {"S: a": 2.5}, ["S"])
-    with pytest.raises(InputError, match="no line of the baseline for M"):
-        speed.judged(limits, {}, ["M"])
+    refuses("S: b: not measured", speed.judged, limits, {"S: a": 2.5}, ["S"])
+    refuses("no line of the baseline for M", speed.judged, limits, {}, ["M"])
 
 
 # --- the peer's program
@@ -145,8 +143,7 @@ def test_a_peer_that_says_something_else_is_one_clear_line(tmp_path: Path, says:
     path = tmp_path / "odd"
     path.write_text(f"#!/bin/sh\necho '{says}'\necho 'bad file' >&2\nexit 3\n", encoding="utf-8")
     path.chmod(0o755)
-    with pytest.raises(InputError, match=r"exit status 3, saying 'bad file'.*build\.sh"):
-        speed.run_peer(path, Path("S.bin"), "plain", 1)
+    refuses(r"exit status 3, saying 'bad file'.*build\.sh", speed.run_peer, path, Path("S.bin"), "plain", 1)
 
 
 # --- the command line
@@ -216,8 +213,7 @@ def test_sizes_with_the_peer_in_one_run(
 
 def test_a_failed_run_of_ours_says_why(tmp_path: Path) -> None:
     (tmp_path / "bad.bin").write_bytes(b"something else")
-    with pytest.raises(InputError, match=r"exit status 2: .*b'somethin' at its head"):
-        speed.ours(tmp_path / "bad.bin", "measured", 1)
+    refuses(r"exit status 2: .*b'somethin' at its head", speed.ours, tmp_path / "bad.bin", "measured", 1)
 
 
 # --- what commands and questions cost

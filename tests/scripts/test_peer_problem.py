@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from outside import require
+from outside import refuses, require
 
 SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 if not SCRIPTS.is_dir():
@@ -111,8 +111,7 @@ def test_what_cannot_be_is_refused(chain: tuple[peer.PeerProblem, peer.Truth]) -
         ({"shot_point": twice}, "two laser shots"),
         ({"u": far}, "normalised line -1.6"),
     ):
-        with pytest.raises(InputError, match=message):
-            replace(problem, **change)
+        refuses(message, replace, problem, **change)
 
 
 # --- equations

@@ -17,7 +17,6 @@ from scipy.stats import binom
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.analysis.posterior import Posterior
-from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.simulation.ground import (
     SITES,
@@ -40,6 +39,7 @@ import neighbors  # noqa: E402
 import process_strengths  # noqa: E402
 import study  # noqa: E402
 import vibrations  # noqa: E402
+from outside import refuses  # noqa: E402
 from redraw import Draw, redraw  # noqa: E402
 from study import chi_square_band, nees_band  # noqa: E402
 
@@ -80,8 +80,7 @@ def test_a_page_keeps_its_words_and_gets_new_tables(
     others = "<!-- made: nees by -->"  # the other studies of the page stay as they were
     assert text.partition(others)[2] == before.partition(others)[2] != ""
     assert '"value": 7.5' in capsys.readouterr().out
-    with pytest.raises(InputError, match="no marks of the made part 'none'"):
-        study.filled(PAGE, {"none": []})
+    refuses("no marks of the made part 'none'", study.filled, PAGE, {"none": []})
 
 
 @pytest.mark.parametrize("page", sorted(study.DOCS.glob("*.md")), ids=lambda page: page.stem)

@@ -9,12 +9,12 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 import spiceypy
+from outside import refuses
 from projects import files_of
 from redraw import assert_unit_variance
 from sites import plain_site
 
 from mgsgraph.case.reading import adjust, read_case
-from mgsgraph.errors import InputError
 from mgsgraph.files.labels.labelled_image import read_labelled_image
 from mgsgraph.files.networks.binary import binary_network, parse_binary_network, read_control_network
 from mgsgraph.files.support_data.isd import read_isd
@@ -207,5 +207,4 @@ def test_clusters_have_no_image_alone() -> None:
     ],
 )
 def test_settings_that_cannot_be(kind: str, images: int, ties: int, degree: int, says: str) -> None:
-    with pytest.raises(InputError, match=says):
-        archive_settings(kind, images, ties, degree)
+    refuses(says, archive_settings, kind, images, ties, degree)

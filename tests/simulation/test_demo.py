@@ -9,12 +9,12 @@ import networks
 import numpy as np
 import pytest
 from networks import network, pair, with_shift_and_surface
+from outside import refuses
 from redraw import redraw
 from sharing import with_all_kinds
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.errors import InputError
 from mgsgraph.network import PointClass
 from mgsgraph.simulation.demo import demonstration
 from mgsgraph.simulation.demo.demonstration import (
@@ -109,10 +109,8 @@ def test_sources_are_named_from_the_results(demo: Demonstration) -> None:
 
 
 def test_sites_and_options_are_checked(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="eos, gusev, isidis or pair"):
-        simulation_options("olympus", known=DEMONSTRATED)
-    with pytest.raises(InputError, match="attitude time bias"):
-        simulation_options(PAIR, 0.5)
+    refuses("eos, gusev, isidis or pair", simulation_options, "olympus", known=DEMONSTRATED)
+    refuses("attitude time bias", simulation_options, PAIR, 0.5)
     assert simulation_options("gusev", 0.95).attitude_time_bias == 0.95
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from outside import refuses
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import from_planetocentric, planetocentric
@@ -184,8 +185,7 @@ def test_grid_encloses_its_reach() -> None:
     for east, north in ((-10e3, -30e3), (10e3, 30e3)):
         lon, lat = np.array([east, north]) / site.metres_per_radian + (site.centre_lon, site.centre_lat)
         assert np.isfinite(grid.radius(np.array([lon]), np.array([lat]))[0]).all()
-    with pytest.raises(InputError, match="posts per degree"):
-        terrain_grid(site, 0)
+    refuses("posts per degree", terrain_grid, site, 0)
 
 
 # --- pictures

@@ -10,6 +10,7 @@ import matched
 import numpy as np
 import pytest
 from commands import call
+from outside import refuses
 from PIL import Image
 from sites import plain_site
 
@@ -154,10 +155,8 @@ def test_words_say_which_surface(block: Block, solution: Solution) -> None:
 def test_places_that_show_nothing_are_one_line(block: Block) -> None:
     linked, name = LinkedImages(block), block.images[0].name
     for line, sample in ((-1e6, 5.0), (5.0, 1e7), (float("nan"), 5.0)):
-        with pytest.raises(InputError, match="line"):
-            linked.under(name, line, sample)
-    with pytest.raises(InputError, match="nobody"):
-        linked.under("nobody", 5.0, 5.0)
+        refuses("line", linked.under, name, line, sample)
+    refuses("nobody", linked.under, "nobody", 5.0, 5.0)
 
 
 def test_images_asked_for_are_answered_beside_their_edges(block: Block) -> None:
@@ -347,8 +346,7 @@ def test_what_cannot_be_refined_is_said(
         first = "nobody", 1.0, 1.0
     else:
         second = two, float(true[0]) + 200.0, float(true[1])
-    with pytest.raises(InputError, match=said):
-        refine(linked, files, first, second)
+    refuses(said, refine, linked, files, first, second)
 
 
 # --- the sheet of a point: what it says near by, without the rest of the block, is what the whole posterio
@@ -449,7 +447,5 @@ def test_near_by_there_is_nothing_without_the_point_or_an_adjustment(
     assert posterior_near(tmp_path / "new", name) is None
     assert not point_sheet(opened, name)["adjusted"]
     assert answer_of(opened, name)["answer"] == ""
-    with pytest.raises(InputError, match="nothing has been adjusted"):
-        judged(opened, name)
-    with pytest.raises(InputError, match="no"):
-        point_sheet(opened, "nobody")
+    refuses("nothing has been adjusted", judged, opened, name)
+    refuses("no", point_sheet, opened, "nobody")

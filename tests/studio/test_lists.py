@@ -20,6 +20,8 @@ from mgsgraph.project.project import open_project
 
 pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")
+from outside import refuses
+
 from mgsgraph.studio.lists import _meets, compute, csv_of, window
 from mgsgraph.studio.map_points import map_points
 from mgsgraph.studio.opened import Opened
@@ -237,8 +239,7 @@ def test_verdicts_need_the_points_of_the_case(pictured_case: Path, tmp_path: Pat
     assert not judging.path.exists()
     other = tmp_path / "other.csv"
     other.write_text("id,verdict\nNONE,reject\n")
-    with pytest.raises(InputError, match="verdicts about 'NONE'"):
-        Opened(pictured_case, verdicts=other)
+    refuses("verdicts about 'NONE'", Opened, pictured_case, verdicts=other)
 
 
 def test_results_say_why_nothing_is_rejected(browser: Any, solved: Path) -> None:

@@ -181,7 +181,7 @@ def test_the_sheet_says_what_the_solution_knows(browser_: Browser, solved: Path)
     name, sheet = a_tie(browser_)
     (k,) = solution.network.points.ids.find([name])
     for ray in sheet["rays"]:
-        j = [image.name for image in solution.network.images].index(ray["image"])
+        j = solution.network.image_names.index(ray["image"])
         (row,) = np.flatnonzero((solution.network.rays.point == k) & (solution.network.rays.image == j))
         np.testing.assert_allclose(ray["residual_px"], solution.residuals[row], atol=1e-5)
     tests = browser_.json(f"/api/point/tests?name={name}")["rays"]

@@ -23,7 +23,7 @@ from mgsgraph.adjustment.cluster.workers import GIGA
 from mgsgraph.adjustment.graph.forms import Sweeper, numbers
 from mgsgraph.adjustment.graph.layout import Layout
 from mgsgraph.errors import SolverError
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, no_rows
 from mgsgraph.kernel.rows import Groups, Model, NormalBlocks, Rows, partition
 from mgsgraph.kernel.sweep import Reduction, all_residuals, even_parts, point_covariances, reduce, writable
 from mgsgraph.text import many
@@ -286,7 +286,7 @@ def _part(layout: Layout, first: int, last: int, common: int, owner: str) -> _Pa
 
 def blocks_of_partition(groups: Groups, target: NormalBlocks, used: Index) -> tuple[Index, NormalBlocks]:
     """Blocks of some groups by themselves: where they are among the whole's, and their target."""
-    places, sizes = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
+    places, sizes = [no_rows()], [no_rows()]
     for group in used:
         width = groups.member_width[groups.member_first[group] : groups.member_first[group + 1]]
         places.append(target.pair[groups.pair_first[group] : groups.pair_first[group + 1]])

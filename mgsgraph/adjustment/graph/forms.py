@@ -9,7 +9,7 @@ import numpy as np
 from mgsgraph.adjustment.graph.layout import Layout
 from mgsgraph.adjustment.sparse_cholesky import Factor
 from mgsgraph.compiled import in_threads
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, no_rows
 from mgsgraph.kernel import sweep
 from mgsgraph.kernel.covariance import NUMBERS
 from mgsgraph.kernel.rows import (
@@ -50,7 +50,7 @@ def numbers(
     """What observations say of themselves (t, 8), and all that some of them (g,) do (g, 3, 7); other parameters as of
     `kernel.sweep.reliability`.
     """
-    ground = np.zeros(0, dtype=np.int64) if ground is None else ground
+    ground = no_rows() if ground is None else ground
     begins = np.append(rows.piece[:, 4], rows.weight.shape[1])
     of_all, chosen = np.empty((begins[-1], 8)), np.empty((ground.size, 3, NUMBERS))
     order = np.argsort(ground)

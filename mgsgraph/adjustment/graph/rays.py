@@ -200,7 +200,7 @@ def attitudes(pose: Pose, angles: int) -> Array:
     """(k, 4 or 3) quaternions, or omega, phi, kappa of the product M' = R3 R2 R1 (papers) or M = R3 R2 R1."""
     if angles == CAMERA:
         return rotation.from_matrix(pose.matrix)
-    return rotation.omega_phi_kappa(pose.matrix if angles == OPK_PAPER else np.swapaxes(pose.matrix, 1, 2))
+    return rotation.omega_phi_kappa(pose.matrix if angles == OPK_PAPER else pose.matrix.mT)
 
 
 def angle_rates(pose: Pose, angles: int) -> Array:

@@ -23,7 +23,7 @@ from mgsgraph.adjustment.graph.variables import Variables
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.plausibility import require_on_ground, resection_remedy
-from mgsgraph.geometry.records import Array, Index, read_only
+from mgsgraph.geometry.records import Array, Index, finite_rows, no_rows, read_only
 from mgsgraph.kernel.rows import (
     FIXED,
     FREE,
@@ -311,7 +311,7 @@ def _fill_ground(network: Network, store: _Store, weight: Array) -> None:
     if with_prior.size == 0:
         return
     information = np.linalg.solve(network.points.covariances[with_prior], np.eye(3))
-    root = np.swapaxes(np.linalg.cholesky(0.5 * (information + np.swapaxes(information, 1, 2))), 1, 2)
+    root = np.swapaxes(np.linalg.cholesky(0.5 * (information + information.mT)), 1, 2)
     place, stride, among = store.place(with_prior, _observations_before(network)[with_prior])
     store.put(place, stride, 0, network.points.places[with_prior])
     store.put(place, stride, 3, root[:, *np.triu_indices(3)])
@@ -328,7 +328,7 @@ def _fill_surface(network: Network, store: _Store, starts: Array, weight: Array)
     Returned are their indices among all observations, and the points that they belong to.
     """
     if network.surface is None:
-        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+        return no_rows(), no_rows()
     on_surface = np.flatnonzero(np.isfinite(network.surface.sigmas))
     slots = _observations_before(network) + (network.points.kinds == PointKind.CONSTRAINED)
     place, stride, among = store.place(on_surface, slots[on_surface])
@@ -344,7 +344,7 @@ def _fill_surface(network: Network, store: _Store, starts: Array, weight: Array)
 def _fill_stereo(network: Network, store: _Store, stereo: StereoRows | None, weight: Array) -> Index:
     """Heights above stereo surfaces; their places among all observations."""
     if stereo is None or network.stereo is None:
-        return np.zeros(0, dtype=np.int64)
+        return no_rows()
     points, before = stereo.points, _observations_before(network)[stereo.points]
     before += network.points.kinds[points] == PointKind.CONSTRAINED
     if network.surface is not None:
@@ -363,7 +363,7 @@ def _begin_crossing(network: Network, places: Array | None) -> Crossing:
     """Points that start at the intersection of their nominal rays: free ones without a position in `places` (n, 3)."""
     free, known = (network.points.kinds == PointKind.FREE) & ~network.undetermined, network.points.places
     if places is not None:
-        given = np.all(np.isfinite(places), axis=1)
+        given = finite_rows(places)
         free, known = free & ~given, np.where(given[:, None], places, known)
     return Crossing(free, read_only(known), np.empty(known.shape), np.empty(free.size))
 
@@ -380,7 +380,7 @@ def _starting_points(
     where, remedy = "images and their ties", resection_remedy(network.images)
     some = np.arange(0, order.size, 1 + order.size // _ASKED)
     some = some[free[order[some]]]
-    require_on_ground(starts[some], angles[order[some]], network.images[0].body, where, remedy)
+    require_on_ground(starts[some], angles[order[some]], network.body, where, remedy)
     unknown = np.flatnonzero(~np.isfinite(starts @ np.ones(3)))
     _start_on_the_ground(network, unknown[free[order[unknown]]], patterns, starts)
     starts[unknown[~free[order[unknown]]]] = 0.0

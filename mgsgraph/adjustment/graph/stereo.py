@@ -12,7 +12,7 @@ import numpy as np
 from mgsgraph.adjustment.graph.variables import Variables, angles_of
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import SUPPORT, polynomial
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.records import Array, Index, Mask, no_rows
 from mgsgraph.geometry.stereo_surface import heights_above
 from mgsgraph.kernel.rows import Model
 from mgsgraph.network import Network
@@ -67,7 +67,7 @@ def combinations(sides: Index) -> tuple[Index, Index]:
 
 def columns(network: Network, side: tuple[int, ...]) -> tuple[Index, Index]:
     """Variables (c,), and columns (c,) within them, that a row depends on; `side` is of `StereoRows.sides`."""
-    variable, inside = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
+    variable, inside = [no_rows()], [no_rows()]
 
     def add(first: int, count: int, width: int) -> None:
         variable.append(np.repeat(first + np.arange(count), width))

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from mgsgraph.geometry.body import east_north
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.records import Array, Index, Mask, joined_rows, no_rows
 from mgsgraph.network import HELD, Network
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ class Variables:
     def columns_of_all(self, variables: Iterable[int]) -> Index:
         """Columns of some variables, one after the other."""
         each = [self.first[v] + np.arange(self.width[v]) for v in variables]
-        return np.concatenate([np.zeros(0, dtype=np.int64), *each])
+        return joined_rows(each)
 
     def columns_from(self, variable: int, count: int) -> slice:
         """Columns of `count` adjusted variables, one after the other, from one on."""
@@ -154,7 +154,7 @@ class Prior:
         """(rows, columns) of the factors alone."""
         from scipy.sparse import coo_array  # slow to import
 
-        rows, columns, values, count = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)], [np.zeros(0)], 0
+        rows, columns, values, count = [no_rows()], [no_rows()], [np.zeros(0)], 0
         for factor in self.factors:
             for v, block in zip(factor.variables, factor.blocks, strict=True):
                 row, column = np.nonzero(block)

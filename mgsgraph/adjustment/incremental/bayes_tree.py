@@ -23,7 +23,8 @@ import numpy as np
 from mgsgraph.adjustment.incremental.state import ReducedSystem, stretches
 from mgsgraph.errors import SolverError
 from mgsgraph.geometry.records import Array
-from mgsgraph.network.parts import Members, Unknown
+from mgsgraph.names import grouped
+from mgsgraph.network.parts import ByUnknown, Members, Unknown
 
 _WILDFIRE = 1e-7
 """A-priori sigmas: smaller changes are not passed on (1e-4 posterior sigmas where the posterior is a thousand times
@@ -130,7 +131,7 @@ class Tree:
 
     def change(
         self,
-        new: Mapping[Unknown, Array] | None = None,
+        new: ByUnknown | None = None,
         systems: Mapping[Members, ReducedSystem] | None = None,
         replaced: Iterable[Members] = (),
         dropped: Iterable[Unknown] = (),
@@ -224,7 +225,7 @@ class Tree:
         """Present values, m and rad, of the unknowns that have moved since the last call, and of new ones."""
         with _solvable("solve"):
             estimate, changed = self._isam.calculateEstimate(), dict[Unknown, Array]()
-        for size, names in self._by_size().items():
+        for size, names in grouped((scale.size, name) for name, scale in self._scale.items()).items():
             # many unknowns, of which few have moved: compared all at once
             now = np.array([estimate.atVector(self._keys[name]) for name in names]).reshape(len(names), size)
             before = np.array([self._taken.get(name, _undefined(size)) for name in names]).reshape(now.shape)
@@ -232,12 +233,6 @@ class Tree:
                 self._taken[names[k]] = now[k]
                 changed[names[k]] = now[k] * self._scale[names[k]]
         return changed
-
-    def _by_size(self) -> dict[int, list[Unknown]]:
-        groups = dict[int, list[Unknown]]()
-        for name, scale in self._scale.items():
-            groups.setdefault(scale.size, []).append(name)
-        return groups
 
     def covariance(self, unknowns: Sequence[Unknown]) -> Array:
         """Joint covariance (d, d) of some unknowns, in their order, m and rad, for sigma0 = 1."""

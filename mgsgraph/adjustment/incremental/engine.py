@@ -32,7 +32,7 @@ from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network
 from mgsgraph.network.joining import Definitions, definitions
-from mgsgraph.network.parts import Members, Unknown, bundles, joined, known_images
+from mgsgraph.network.parts import ByUnknown, Members, Unknown, bundles, joined, known_images
 
 if TYPE_CHECKING:
     from mgsgraph.adjustment.solution import Solution
@@ -296,7 +296,7 @@ class Engine:
     # --- how far a change reaches
 
     def _reached(
-        self, changed: set[Members], removed: Iterable[Members], before: Mapping[Unknown, Array]
+        self, changed: set[Members], removed: Iterable[Members], before: ByUnknown
     ) -> dict[Members, Array]:
         """Bundles changed, and those whose unknowns have moved noticeably, outwards; with their joint covariance.
 
@@ -318,7 +318,7 @@ class Engine:
             visited |= near
         return reached
 
-    def _has_moved(self, unknowns: Members, joint: Array, before: Mapping[Unknown, Array]) -> bool:
+    def _has_moved(self, unknowns: Members, joint: Array, before: ByUnknown) -> bool:
         """Whether unknowns have moved noticeably, by their joint covariance."""
         # new unknowns have moved from zero
         step = np.concatenate([self.value[unknown] - before.get(unknown, 0.0) for unknown in unknowns])

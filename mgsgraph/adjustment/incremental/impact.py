@@ -6,10 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mgsgraph.adjustment.incremental.state import NOTICEABLE, Bundle, Settled, Shared, shared_of
+from mgsgraph.adjustment.incremental.state import NOTICEABLE, Bundle, Bundles, Settled, Shared, shared_of
 from mgsgraph.files.output.table import Column, Table
 from mgsgraph.geometry.records import Array, Mask
-from mgsgraph.network.parts import Members, Unknown
+from mgsgraph.names import numbered
+from mgsgraph.network.parts import ByUnknown, Members, Unknown
 from mgsgraph.record import Record, card
 from mgsgraph.text import many
 
@@ -218,7 +219,7 @@ def impact(
     verb: str,
     subjects: Sequence[str],
     settled: Settled,
-    old: Mapping[Members, Bundle],
+    old: Bundles,
     before: Mapping[Unknown, Shared],
     after: Mapping[Unknown, Shared],
 ) -> Impact:
@@ -285,14 +286,14 @@ def _moved_image(before: Shared | None, after: Shared) -> list[float]:
 
 
 def _as_they_were(
-    old: Mapping[Members, Bundle], bundles: Mapping[Members, Bundle]
+    old: Bundles, bundles: Bundles
 ) -> tuple[dict[Members, tuple[Array, Array]], list[str]]:
     """Places and sigmas (n, 3) of the points of each bundle before, NaN for those that had none; and the points of the
     bundles that were replaced.
     """
     same = {members for members, part in bundles.items() if members in old and part.network is old[members].network}
     mixed = [part for members, part in old.items() if members not in same]
-    row = {name: k for k, name in enumerate(name for part in mixed for name in part.network.points.ids)}
+    row = numbered(name for part in mixed for name in part.network.points.ids)
     undetermined = np.full((1, 3), np.nan)
     places = np.concatenate([*(part.places for part in mixed), undetermined])
     sigmas = np.concatenate([*(part.sigmas for part in mixed), undetermined])
@@ -306,7 +307,7 @@ def _as_they_were(
     return states, list(row)
 
 
-def _moved_points(bundles: Mapping[Members, Bundle], was: Mapping[Members, tuple[Array, Array]]) -> MovedPoints:
+def _moved_points(bundles: Bundles, was: Mapping[Members, tuple[Array, Array]]) -> MovedPoints:
     """Points that have moved noticeably, and new ones."""
     parts = [_moved_of(bundle, *was[members]) for members, bundle in bundles.items()]
     ids = tuple(name for names, _ in parts for name in names)
@@ -326,7 +327,7 @@ def _moved_of(bundle: Bundle, places: Array, sigmas: Array) -> tuple[list[str], 
 
 
 def _left_undetermined(
-    bundles: Mapping[Members, Bundle], was: Mapping[Members, tuple[Array, Array]]
+    bundles: Bundles, was: Mapping[Members, tuple[Array, Array]]
 ) -> tuple[str, ...]:
     """Points that had a place and have none now."""
     missing_now = list[str]()
@@ -337,12 +338,12 @@ def _left_undetermined(
     return tuple(missing_now)
 
 
-def _neighbours(subjects: Sequence[str], bundles: Mapping[Members, Bundle]) -> tuple[dict[str, int], set[str]]:
+def _neighbours(subjects: Sequence[str], bundles: Bundles) -> tuple[dict[str, int], set[str]]:
     """Images that share determined points with some others, and how many; and all images that share such points."""
     shared, linked, names = dict[str, int](), set[str](), set(subjects)
     for bundle in bundles.values():
         network = bundle.network
-        number = {image.name: j for j, image in enumerate(network.images)}
+        number = numbered(network.image_names)
         visible = np.zeros((len(number), len(network.points)), dtype=bool)
         visible[network.rays.image, network.rays.point] = True
         visible &= np.isfinite(bundle.places[:, 0])
@@ -405,7 +406,7 @@ class BatchCheck(Record):
         )
 
 
-def differences_from_batch(solution: "Solution", values: Mapping[Unknown, Array], places: Array) -> BatchCheck:
+def differences_from_batch(solution: "Solution", values: ByUnknown, places: Array) -> BatchCheck:
     """Compare values of the unknowns and places (n, 3) of the points with a batch solution of the same network."""
     worst, key = 0.0, next(iter(values), Unknown("image", "-"))
     for unknown, batch in shared_of(solution).items():

@@ -36,12 +36,13 @@ from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior
 from mgsgraph.geometry.records import Array
-from mgsgraph.names import number_of
+from mgsgraph.names import number_of, numbered
 from mgsgraph.network import Network
 from mgsgraph.network.corrections import whole_correction
 from mgsgraph.network.joining import Definitions, definitions, with_definitions
 from mgsgraph.network.observations import build_network
 from mgsgraph.network.parts import (
+    ByUnknown,
     KnownImage,
     Members,
     Unknown,
@@ -56,7 +57,7 @@ from mgsgraph.units import ARCSEC
 from mgsgraph.workers import no_progress
 
 if TYPE_CHECKING:
-    from mgsgraph.adjustment.rounds import Progress
+    from mgsgraph.adjustment.settings import Progress
     from mgsgraph.adjustment.solution import Solution
 
 Observations = TiePoints | LaserProfile | Sequence[TiePoints | LaserProfile]
@@ -114,7 +115,7 @@ class IncrementalAdjustment(Record):
         return self.store.image_names()
 
     @property
-    def values(self) -> Mapping[Unknown, Array]:
+    def values(self) -> ByUnknown:
         """Present values (d,) of all shared unknowns, m and rad."""
         return dict(self._engine.value)
 
@@ -154,7 +155,7 @@ class IncrementalAdjustment(Record):
         covariances = np.concatenate([np.zeros((0, 3, 3)), *(bundle.covariances for bundle in fresh)])
         if ids is None:
             return names, places, covariances
-        where = {name: k for k, name in enumerate(names)}
+        where = numbered(names)
         for name in ids:
             require(name in where, f"point {name}", "no such point", "one of the adjustment's")
         chosen = [where[name] for name in ids]
@@ -303,7 +304,7 @@ class IncrementalAdjustment(Record):
                 if image.image.name not in present or not _same_image(image, self.store.image(image.image.name)):
                     self.store.add_image(image)
             self.store.replace(self.store.members(), bundles)
-            for name in present - {image.name for image in network.images}:
+            for name in present - set(network.image_names):
                 self.store.drop_image(name)
             self.store.set_definitions(engine.known)
             self.store.drop_shared(set(self.store.shared()) - set(engine.shared))
@@ -321,7 +322,7 @@ class IncrementalAdjustment(Record):
 
     def _known(self, image: str | int) -> KnownImage:
         names = self.images
-        return self.store.image(names[number_of(image, {name: j for j, name in enumerate(names)}, "image")])
+        return self.store.image(names[number_of(image, numbered(names), "image")])
 
     def _new_images(
         self, images: PushbroomImage | KnownImage | Sequence[KnownImage], prior: OrientationPrior | None

@@ -16,10 +16,10 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import intersect_ellipsoid
 from mgsgraph.geometry.orientation import Angles, OrientationCorrection
-from mgsgraph.geometry.records import Array, assign, frozen, read_only
+from mgsgraph.geometry.records import Array, assign, frozen, read_only, sigmas_of
 from mgsgraph.geometry.rotation import skew
 from mgsgraph.network import HELD, Network, SharedKind
-from mgsgraph.network.joining import Definitions, NamedPass, NamedShared, definitions, seconds, with_definitions
+from mgsgraph.network.joining import Definitions, NamedPass, NamedShared, definitions, spans, with_definitions
 from mgsgraph.network.parts import (
     KnownImage,
     Members,
@@ -86,13 +86,17 @@ class Bundle:
     @property
     def sigmas(self) -> Array:
         """(n, 3) m, standard deviations of the points."""
-        return np.asarray(np.sqrt(np.diagonal(self.covariances, axis1=1, axis2=2)))
+        return np.asarray(sigmas_of(self.covariances))
 
     def __post_init__(self) -> None:
         n = len(self.network.points)
         for name, shape in (("places", (n, 3)), ("covariances", (n, 3, 3))):
             values = np.array(getattr(self, name), dtype=np.float64).reshape(shape)
             assign(self, **{name: read_only(values)})
+
+
+Bundles = Mapping[Members, Bundle]
+"""Bundles by the unknowns that identify them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,7 +130,7 @@ class Shared:
     @property
     def sigmas(self) -> Array:
         """(d,) standard deviations, m and rad, for sigma0 = 1."""
-        return np.asarray(np.sqrt(np.diagonal(self.covariance)))
+        return np.asarray(sigmas_of(self.covariance))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -187,10 +191,10 @@ class StateStore(Protocol):
     def drop_shared(self, unknowns: Iterable[Unknown]) -> None:
         """Remove shared unknowns from the store."""
 
-    def replace(self, removed: Iterable[Members], new: Mapping[Members, Bundle]) -> None:
+    def replace(self, removed: Iterable[Members], new: Bundles) -> None:
         """Remove bundles and add others, none of which is stored."""
 
-    def renew(self, bundles: Mapping[Members, Bundle]) -> None:
+    def renew(self, bundles: Bundles) -> None:
         """New systems and places for bundles whose points are the same."""
 
     def definitions(self) -> Definitions:
@@ -286,7 +290,7 @@ class InMemory:
         for unknown in unknowns:
             del self._shared[unknown]
 
-    def replace(self, removed: Iterable[Members], new: Mapping[Members, Bundle]) -> None:
+    def replace(self, removed: Iterable[Members], new: Bundles) -> None:
         """Take bundles out and put others in."""
         for members in removed:
             bundle = self._bundles.pop(members)
@@ -300,7 +304,7 @@ class InMemory:
             for image in bundle.network.images:
                 self._seen_by.setdefault(image.name, {})[members] = None
 
-    def renew(self, bundles: Mapping[Members, Bundle]) -> None:
+    def renew(self, bundles: Bundles) -> None:
         """New systems and places for bundles whose points are the same."""
         self._bundles |= bundles
 
@@ -346,8 +350,7 @@ def without(
     """Bundles that some images see, and what remains of them; points that no other image sees are removed, too."""
     definitions = store.definitions() if definitions is None else definitions
     replaced = list(dict.fromkeys([*(members for image in images for members in store.seen_by(image)), *turned]))
-    parts = (store.bundle(members).network for members in replaced)
-    rest = [remaining for network in parts if (remaining := without_images(network, images)) is not None]
+    rest = [without_images(store.bundle(members).network, images) for members in replaced]
     return _completed(store, replaced, rest, definitions)
 
 
@@ -357,9 +360,8 @@ def with_points(
 ) -> tuple[list[Members], dict[Members, Network]]:  # fmt: skip
     """Bundles with some points, and what they become when a network replaces these points; None removes them."""
     replaced = sorted({*store.bundles_of(ids).values(), *turned})
-    parts = (store.bundle(members).network for members in replaced)
-    rest = [remaining for part in parts if (remaining := without_points(part, ids)) is not None]
-    return _completed(store, replaced, rest if network is None else [*rest, network], definitions)
+    rest = [without_points(store.bundle(members).network, ids) for members in replaced]
+    return _completed(store, replaced, [*rest, network], definitions)
 
 
 def require_one_body(store: StateStore, new: Sequence[KnownImage]) -> None:
@@ -375,10 +377,10 @@ def require_one_body(store: StateStore, new: Sequence[KnownImage]) -> None:
 
 
 def _completed(
-    store: StateStore, replaced: list[Members], parts: list[Network], definitions: Definitions
+    store: StateStore, replaced: list[Members], remaining: Sequence[Network | None], definitions: Definitions
 ) -> tuple[list[Members], dict[Members, Network]]:
-    """Bundles of some parts, joined with stored bundles of the same unknowns."""
-    parts = [with_definitions(part, definitions) for part in parts]
+    """Bundles of what remains, joined with stored bundles of the same unknowns."""
+    parts = [with_definitions(part, definitions) for part in remaining if part is not None]
     completed = bundles(joined(parts)) if parts else {}
     unchanged = set(store.members()) - set(replaced)
     if touched := [members for members in completed if members in unchanged]:
@@ -444,7 +446,7 @@ def shared_pass(pass_: NamedPass, images: Mapping[str, KnownImage], angles: Angl
     Raises InputError where a component has no a-priori sigma: iSAM2 needs one.
     """
     seen_images = [images[name] for name in pass_.images]
-    edges = np.array([seconds(each.image) for each in seen_images]) - pass_.nodes.epoch
+    edges = spans(each.image for each in seen_images) - pass_.nodes.epoch
     sigmas = pass_.prior.node_sigmas(normalised(pass_.nodes))
     if not np.all(np.isfinite(sigmas)):
         expected = "finite sigmas, which iSAM2 needs to begin with"

@@ -11,7 +11,7 @@ from mgsgraph.adjustment.covariances import point_covariances as joint_point_cov
 from mgsgraph.adjustment.graph import Layout, lay_out
 from mgsgraph.adjustment.graph.patterns import group_blocks
 from mgsgraph.adjustment.graph.stereo import heights_at, linear_rows
-from mgsgraph.adjustment.incremental.state import Bundle, ReducedSystem, stretches
+from mgsgraph.adjustment.incremental.state import Bundle, Bundles, ReducedSystem, stretches
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.rounds import (
     NEAR,
@@ -25,11 +25,11 @@ from mgsgraph.adjustment.rounds import (
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.orientation import SUPPORT, OrientationImages
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, joined_rows
 from mgsgraph.kernel.sweep import COSTS, SYSTEM, Reduction, dense, point_covariances, reduce, sparse
 from mgsgraph.names import Names
 from mgsgraph.network import Network, NodePrior, Pass
-from mgsgraph.network.parts import Members, Unknown, unknowns
+from mgsgraph.network.parts import ByUnknown, Members, Unknown, unknowns
 
 TOLERANCE = 2e-3
 """Posterior sigmas of an unknown's linearisation error: small beside `impact.CLOSE`, since the errors of bundles
@@ -104,7 +104,7 @@ def _near(network: Network, pass_: Pass) -> OrientationImages:
     if nodes.size == 0:
         return pass_.nodes
     first, last = max(int(nodes.min()) - 1, 0), int(nodes.max()) + SUPPORT + 1
-    return pass_.nodes.with_nodes_at(pass_.nodes.times[first:last])
+    return replace(pass_.nodes, times=pass_.nodes.times[first:last])
 
 
 class _Joint(NamedTuple):
@@ -142,7 +142,7 @@ class Sweep:
         self._spread: Array | None = None
         self._relief: Array | None = None
 
-    def reduce(self, values: Mapping[Unknown, Array], task: int = SYSTEM) -> Reduction:
+    def reduce(self, values: ByUnknown, task: int = SYSTEM) -> Reduction:
         """All points solved and eliminated at values of the unknowns, without undetermined points.
 
         Raises PointBehindCamera.
@@ -169,7 +169,7 @@ class Sweep:
         self._last = reduction
         return reduction
 
-    def system(self, values: Mapping[Unknown, Array], motion: Array) -> ReducedSystem | None:
+    def system(self, values: ByUnknown, motion: Array) -> ReducedSystem | None:
         """The reduced system; None without adjusted unknowns or determined points. `motion` as in `slack`."""
         reduction, layout = self.reduce(values), self._layout
         if layout.columns == 0 or not np.any(determined_points(self._rows)):
@@ -182,7 +182,7 @@ class Sweep:
         return ReducedSystem(names, at, normal, gradient, reduction.cost, allowed)
 
     def of_bundles(
-        self, values: Mapping[Unknown, Array], joint: JointCovariance, bundles: Mapping[Members, Network],
+        self, values: ByUnknown, joint: JointCovariance, bundles: Mapping[Members, Network],
         motion: Callable[[Members, Network], Array],
     ) -> dict[Members, Bundle]:  # fmt: skip
         """All bundles of the network, each with its reduced system and its points, by one pass over all points.
@@ -230,16 +230,14 @@ class Sweep:
         at = np.concatenate([reduction.orientation[layout.columns_of(v)] for v in felt])
         normal, gradient = np.zeros((at.size, at.size)), np.zeros(at.size)
         for group, members in enumerate(layout.group_variables):
-            columns = np.concatenate([np.zeros(0, dtype=np.int64), *(
-                np.arange(first[v], first[v] + layout.variables.width[v]) for v in members
-            )])  # fmt: skip
+            columns = joined_rows(np.arange(first[v], first[v] + layout.variables.width[v]) for v in members)
             block, right = dense(reduction, layout.groups, self._blocks, group)
             normal[np.ix_(columns, columns)] += block
             gradient[columns] += right
         return tuple(self._names[v] for v in felt), at, normal, gradient
 
     def placed(
-        self, values: Mapping[Unknown, Array], system: ReducedSystem | None, joint: Array | None,
+        self, values: ByUnknown, system: ReducedSystem | None, joint: Array | None,
     ) -> Bundle:  # fmt: skip
         """The bundle with its points where the unknowns put them; `joint` is the covariance (d, d) of those of the
         system, in their order; absent where it has none.
@@ -250,7 +248,7 @@ class Sweep:
         return Bundle(self.network, system, self._ordered(reduction.points), covariances)
 
     def placed_bundles(
-        self, values: Mapping[Unknown, Array], bundles: Mapping[Members, Bundle],
+        self, values: ByUnknown, bundles: Bundles,
         systems: Mapping[Members, ReducedSystem], joint: Mapping[Members, Array],
     ) -> dict[Members, Bundle]:  # fmt: skip
         """All bundles of the network with their points where the unknowns put them, by one pass over all points;
@@ -300,10 +298,10 @@ class Sweep:
         """
         joint, place = covariance
         numbers = np.arange(joint.shape[0])
-        columns = np.concatenate([np.zeros(0, dtype=np.int64), *(
+        columns = joined_rows(
             numbers[place[name]] if (name := self._names[v]) in place else np.full(self._layout.variables.width[v], -1)
             for v in members
-        )])  # fmt: skip
+        )
         present = np.flatnonzero(columns >= 0)
         block = np.zeros((columns.size, columns.size))
         block[np.ix_(present, present)] = joint[np.ix_(columns[present], columns[present])]
@@ -330,7 +328,7 @@ class Sweep:
             squares += np.stack([level * (after - before) ** 2, turned], axis=1)
         return np.sqrt(squares) / (_STEP * control.sigmas[rows.points])[:, None]
 
-    def places(self, values: Mapping[Unknown, Array]) -> Array:
+    def places(self, values: ByUnknown) -> Array:
         """(n, 3) m, positions of the points at these unknowns; NaN for undetermined ones."""
         return self._ordered(self.reduce(values, COSTS).points)
 
@@ -343,7 +341,7 @@ class Sweep:
         layout = self._layout
         return reduce(self._rows, layout.groups, self._blocks, layout.model, shared, task, begin)
 
-    def _vector(self, values: Mapping[Unknown, Array]) -> Array:
+    def _vector(self, values: ByUnknown) -> Array:
         vector, layout = np.zeros(self._layout.columns), self._layout
         for v in layout.variables.adjusted():
             if self._names[v] in values:  # nodes that no ray is about may have gone

@@ -6,7 +6,7 @@ nodes do not change. One polynomial (four nodes of a `PolynomialPrior`) has no g
 of the first images, and it holds before and after them. Nodes are removed with the last image that needs them.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Protocol
 
@@ -18,8 +18,8 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
-from mgsgraph.network.joining import Definitions, NamedPass, mountings, seconds, united
-from mgsgraph.network.parts import KnownImage, Members, Unknown, pass_unknowns
+from mgsgraph.network.joining import Definitions, NamedPass, mountings, seconds, spans, united
+from mgsgraph.network.parts import ByUnknown, KnownImage, Members, Unknown, pass_unknowns
 from mgsgraph.network.passes import PolynomialPrior
 
 _UNTURNED = 1e-3
@@ -84,7 +84,7 @@ def _over(pass_: NamedPass, images: Sequence[PushbroomImage]) -> NamedPass:
     """A pass with the nodes that its images need."""
     if isinstance(pass_.prior, PolynomialPrior):
         return pass_
-    edges = np.array([seconds(image) for image in images]) - pass_.nodes.epoch
+    edges = spans(images) - pass_.nodes.epoch
     nodes = pass_.nodes.over(float(edges[:, 0].min()), float(edges[:, 1].max()))
     return pass_ if np.array_equal(nodes.times, pass_.nodes.times) else replace(pass_, nodes=nodes)
 
@@ -95,7 +95,7 @@ def _joined_by(store: KnowsImages, pass_: NamedPass, joining: Sequence[Pushbroom
     """
     where = f"pass {pass_.name!r}"
     members = [store.image(name).image for name in pass_.images]
-    edges = np.array([seconds(image) for image in members])
+    edges = spans(members)
     for image in joining:
         start, stop = seconds(image)
         gaps = np.maximum(edges[:, 0] - stop, start - edges[:, 1])
@@ -124,7 +124,7 @@ def _turned(first_image: PushbroomImage, second_image: PushbroomImage) -> float:
     times = np.clip(0.5 * (max(first, start) + min(last, stop)), [first, start], [last, stop])
     images = enumerate((first_image, second_image))
     poses = [image.trajectory.pose(times[k : k + 1] - image.trajectory.epoch) for k, image in images]
-    return float(np.linalg.norm(rotation.logarithm(poses[1].matrix @ np.swapaxes(poses[0].matrix, 1, 2))[0]))
+    return float(np.linalg.norm(rotation.logarithm(poses[1].matrix @ poses[0].matrix.mT)[0]))
 
 
 def turned_bundles(store: StateStore, before: Definitions, after: Definitions) -> list[Members]:
@@ -161,7 +161,7 @@ def prior_rows(definitions: Definitions) -> list[PriorRows]:
 
 
 def expected(
-    rows: Iterable[PriorRows], new: Mapping[Unknown, Array], values: Mapping[Unknown, Array]
+    rows: Iterable[PriorRows], new: ByUnknown, values: ByUnknown
 ) -> dict[Unknown, Array]:
     """Values (d,) of new unknowns of passes, m and rad, predicted by rows and present values; `new` are their units."""
     rows = [row for row in rows if not set(new).isdisjoint(row.unknowns)]

@@ -31,7 +31,7 @@ from mgsgraph.files.opening import read_bytes
 from mgsgraph.files.pvl import Block, flat_label
 from mgsgraph.geometry.altimetry import LOLA, AltimeterShots
 from mgsgraph.geometry.body import from_planetocentric
-from mgsgraph.geometry.records import Array, Index, read_only
+from mgsgraph.geometry.records import Array, Index, Mask, read_only
 from mgsgraph.geometry.trajectory import tdb_of_tt
 from mgsgraph.units import DEG
 
@@ -414,7 +414,7 @@ def lola_shots(content: bytes, path: Path, clock_bias: float = 0.0) -> Altimeter
 
 
 def _lola_spots(
-    records: NDArray[np.void], chosen: NDArray[np.int64], ground: NDArray[np.bool_], path: Path, clock_bias: float
+    records: NDArray[np.void], chosen: Index, ground: Mask, path: Path, clock_bias: float
 ) -> AltimeterShots:
     """The spots whose numbers, record by record, are `chosen`."""
     spots, owners = records["spots"].ravel()[chosen], records[chosen // SPOTS]

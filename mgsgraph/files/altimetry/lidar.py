@@ -23,7 +23,7 @@ from mgsgraph.files.networks.record import require_shown
 from mgsgraph.files.opening import LARGEST_TEXT, decoded_text, head_of, json_object, read_bytes
 from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.body import from_planetocentric, planetocentric, planetocentric_jacobian
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, finite_rows
 from mgsgraph.geometry.trajectory import YEARS, require_years
 from mgsgraph.names import Names, RepeatedNames
 from mgsgraph.units import DEG, ISIS_OFFSET, KM
@@ -216,10 +216,10 @@ def lidar_coordinates(positions: Array, covariances: Array) -> tuple[Array, list
     spherical = planetocentric(positions)
     # rad and m in the file: longitude comes first in our Jacobian, latitude in the file
     jacobian = planetocentric_jacobian(spherical)[:, :, [1, 0, 2]]
-    stated = np.isfinite(covariances).all(axis=(1, 2)) & np.isfinite(spherical).all(axis=1)
+    stated = np.isfinite(covariances).all(axis=(1, 2)) & finite_rows(spherical)
     stated = np.asarray(stated & covariances.any(axis=(1, 2)))
     half = np.linalg.solve(jacobian[stated], covariances[stated])
-    matrix = np.linalg.solve(jacobian[stated], np.swapaxes(half, 1, 2))
+    matrix = np.linalg.solve(jacobian[stated], half.mT)
     triangles = iter(matrix[:, *np.triu_indices(3)].tolist())
     matrices = [next(triangles) if is_stated else None for is_stated in stated]
     return np.column_stack([spherical[:, 1] / DEG, spherical[:, 0] / DEG % 360.0, spherical[:, 2] / KM]), matrices

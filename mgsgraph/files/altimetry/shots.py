@@ -33,7 +33,7 @@ from mgsgraph.files.altimetry.tables import LARGEST, is_archive, plain_name, sho
 from mgsgraph.files.csv_columns import CsvText
 from mgsgraph.files.opening import decoded_text, read_bytes, unpacked_gzip
 from mgsgraph.geometry.altimetry import AltimeterShots, AltimetryCloud
-from mgsgraph.geometry.body import Ellipsoid, geodetic
+from mgsgraph.geometry.body import Ellipsoid, ellipsoidal_heights
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.trajectory import require_years, tdb_of_utc
 from mgsgraph.names import Names, RepeatedNames
@@ -141,7 +141,7 @@ def read_altimetry_cloud(
     Examples
     --------
     >>> _ = Path("cloud.csv").write_text("longitude_deg,latitude_deg,height_m,id,profile\n87.1,4.2,-3700.0,1,9000\n")
-    >>> print(mgsgraph.read_altimetry_cloud(Path("cloud.csv"), network.images[0].body))
+    >>> print(mgsgraph.read_altimetry_cloud(Path("cloud.csv"), network.body))
     AltimetryCloud(1 shots, 1 profiles, from cloud.csv)
     """
     content = _shots_or_table(path, version=version)
@@ -235,6 +235,6 @@ def _planetocentric_points(
         raise InputError(where, "heights above an unknown body", "radius_m or radius_km, or the body")
     points = positions(angles, body.equatorial + heights, where_row)
     for _ in range(4):  # the vertical is within half a degree of the radius: each step leaves 1e-4 of the error
-        lift = heights - geodetic(points, body)[:, 2]
+        lift = heights - ellipsoidal_heights(points, body)
         points = points * (1.0 + lift / np.linalg.norm(points, axis=1))[:, None]
     return points

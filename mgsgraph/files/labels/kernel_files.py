@@ -7,7 +7,7 @@ import re
 import struct
 from pathlib import Path
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.opening import ANY_SIZE, opened
 
 _RECORD, _WORD = 1024, 8
@@ -33,8 +33,7 @@ def require_uncut(path: Path, text: bytes) -> None:
             variable = f", {assigned[1].decode('latin-1')}"
         where, texts = f"{path}, line {number}{variable}", _QUOTED.findall(line) if paths else []
         longest, length = max((len(word.replace(b"''", b"'")) for word in texts), default=0), len(line.rstrip())
-        if longest > _LONGEST_TEXT:
-            raise InputError(where, f"a text of {longest} characters", remedy=_REMEDY)
+        require(longest <= _LONGEST_TEXT, where, f"a text of {longest} characters", remedy=_REMEDY)
         if length > _LONGEST_LINE:
             raise InputError(where, f"a line of {length} characters", f"at most {_LONGEST_LINE}, as SPICE reads them")
 

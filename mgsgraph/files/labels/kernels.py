@@ -173,17 +173,13 @@ def ck_frames(frame_id: int) -> list[int]:
     """The frame, and those that the loaded CK have it relative to, each a CK's own, down to one that is not."""
     frames = [frame_id]
     while len(frames) < _DEEPEST:
-        below = {spiceypy.frinfo(reference)[1:] for reference in _references(frames[-1])}
+        references = {int(codes[1]) for _, _, codes in _segments() if codes[0] == frames[-1]}
+        below = {spiceypy.frinfo(reference)[1:] for reference in references}
         turned = sorted(class_id for kind, class_id in below if kind == _CK_CLASS and class_id not in frames)
         if not turned:
             break
         frames.append(turned[0])
     return frames
-
-
-def _references(frame_id: int) -> set[int]:
-    """Frames that segments of a CK frame are relative to."""
-    return {int(codes[1]) for _, _, codes in _segments() if codes[0] == frame_id}
 
 
 def _segments() -> Iterator[tuple[int, Array, tuple[int, ...]]]:

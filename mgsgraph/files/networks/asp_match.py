@@ -40,7 +40,7 @@ from mgsgraph.files.networks.record import ControlNetwork, MeasureType, PointTyp
 from mgsgraph.files.networks.tie_points import PointArrays
 from mgsgraph.files.opening import number_of, read_bytes
 from mgsgraph.geometry.records import Array, Index, place_of
-from mgsgraph.names import Names, RepeatedNames
+from mgsgraph.names import Names, RepeatedNames, grouped
 from mgsgraph.text import root_mean_square, some
 
 _COUNTS = np.dtype("<u8")
@@ -120,8 +120,7 @@ def read_match_text(path: Path, images: tuple[str, str]) -> MatchFile:
     """Read a match file in text; the same errors, and for sigmas that are not positive, with the line."""
     places, rows = list[str](), list[list[float]]()
     for where, fields in filled_lines(path):
-        if len(fields) != 6:
-            raise InputError(where, f"{len(fields)} fields", "six numbers: x1 y1 unc1 x2 y2 unc2")
+        require(len(fields) == 6, where, f"{len(fields)} fields", "six numbers: x1 y1 unc1 x2 y2 unc2")
         rows.append([number_of(text, where) for text in fields])
         places.append(where)
     require(rows, str(path), "no match", "at least one")
@@ -309,7 +308,7 @@ def images_of(path: Path, known: Collection[str] = (), prefix: str | None = None
         return pairs[0]
     if not pairs:
         if known:
-            remedy = f"they are {some(list(known), len(known))}"
+            remedy = f"they are {some(list(known))}"
             raise InputError(str(path), "a file's name without two of the images", _FORM, remedy)
         expected = _FORM if prefix is None else f"{prefix}-IMAGE1__IMAGE2"
         raise InputError(str(path), "a file's name that doesn't tell the images", expected)
@@ -319,9 +318,7 @@ def images_of(path: Path, known: Collection[str] = (), prefix: str | None = None
 
 def _image_pairs(name: str, known: Collection[str], prefix: str | None) -> list[tuple[str, str]]:
     """Every pair of images that a name can mean."""
-    of_stems: dict[str, list[str]] = {}
-    for image in known:
-        of_stems.setdefault(stem(image), []).append(image)
+    of_stems = grouped((stem(image), image) for image in known)
     pairs = []
     for k in range(1, len(name) - len(_BETWEEN)):
         if not name.startswith(_BETWEEN, k):

@@ -25,7 +25,7 @@ from mgsgraph.files.csv_columns import CARTESIAN, MATRIX, OF_POINT, Columns, mea
 from mgsgraph.files.rasters.raster_file import open_raster
 from mgsgraph.files.rasters.terrain_file import MapProjection, map_projection
 from mgsgraph.geometry.body import Ellipsoid, east_north_up
-from mgsgraph.geometry.records import Array, Mask
+from mgsgraph.geometry.records import Array, Mask, finite_rows
 from mgsgraph.units import DEG
 
 _PIXELS, _PLANE, _DEGREES = ("map_line", "map_sample"), ("map_x", "map_y"), ("longitude_deg", "latitude_deg")
@@ -73,7 +73,7 @@ class ControlMap:
         require(rows.size > 0, where, "no position in the orthoimage in any row", f"{' and '.join(positions)}")
         read = table.chosen(rows)
         values = np.column_stack([measured(read.values[name], read.where) for name in positions])
-        _require(np.all(np.isfinite(values), axis=1), read, "half a position", f"both {' and '.join(positions)}")
+        _require(finite_rows(values), read, "half a position", f"both {' and '.join(positions)}")
         ids, first = read.values.get("id", read.values[positions[0]]), dict[str, list[float]]()  # none: refused later
         same = [first.setdefault(ids[k].as_py(), row) == row for k, row in enumerate(values.tolist())]
         _require(np.array(same), read, f"{' and '.join(positions)} other than in an earlier row", "one position")
@@ -101,9 +101,9 @@ class ControlMap:
         points, heights = self._on_terrain(projection, pixels)
         frames = east_north_up(np.nan_to_num(points, nan=1.0))
         level = frames[:, :2]
-        plane = np.swapaxes(level, 1, 2) @ level  # sides of pixels lie in that of the ellipsoid, slopes are of radii
+        plane = level.mT @ level  # sides of pixels lie in that of the ellipsoid, slopes are of radii
         sides = np.stack([_at(projection, pixels + step, heights) - points for step in np.eye(2)], axis=1) @ plane
-        horizontal = self.pixel_sigma**2 * np.swapaxes(sides, 1, 2) @ sides + self.own_sigma**2 * plane
+        horizontal = self.pixel_sigma**2 * sides.mT @ sides + self.own_sigma**2 * plane
         reach = np.sqrt(0.5 * np.trace(horizontal, axis1=1, axis2=2))[:, None]
         slopes = [(self.radii(points + reach * way) - self.radii(points - reach * way)) / (2.0 * reach[:, 0])
                   for way in (level[:, 0], level[:, 1])]  # fmt: skip
@@ -111,7 +111,7 @@ class ControlMap:
                  "a position over its posts, one sigma around too")  # fmt: skip
         up, gradient = frames[:, 2], np.einsum("wn,nwj->nj", slopes, level)
         lifted = np.eye(3) + up[:, :, None] * gradient[:, None]
-        covariances = lifted @ horizontal @ np.swapaxes(lifted, 1, 2)
+        covariances = lifted @ horizontal @ lifted.mT
         return points, covariances + self.height_sigma**2 * up[:, :, None] * up[:, None]
 
     def _on_terrain(self, projection: MapProjection, pixels: Array) -> tuple[Array, Array]:

@@ -20,6 +20,7 @@ from mgsgraph.geometry.records import (
     Mask,
     assign,
     chosen_rows,
+    finite_rows,
     frozen,
     frozen_index,
     of_kind,
@@ -84,7 +85,7 @@ class TiePoints(Record):
         places, sigmas = (of_kind(given, np.float64) for given in (self.places, self.measure_sigmas))
         if places.shape != (n, 3) or sigmas.shape != (k, 2):
             raise InputError(self.source, f"places {places.shape}, sigmas {sigmas.shape}", f"({n}, 3) and ({k}, 2)")
-        for i in np.flatnonzero((kinds != PointKind.FREE) & ~np.all(np.isfinite(places), axis=1))[:1]:
+        for i in np.flatnonzero((kinds != PointKind.FREE) & ~finite_rows(places))[:1]:
             raise InputError(
                 f"{self.source}, point {self.ids[i]}", f"{PointKind(kinds[i]).name.lower()} without an a-priori place",
                 "X, Y, Z or latitude, longitude, radius",

@@ -23,7 +23,7 @@ from pyarrow.csv import WriteOptions
 
 from mgsgraph.files.writing import record_text
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.names import Names, RepeatedNames, arrow_of
+from mgsgraph.names import Names, RepeatedNames, arrow_of, numbered
 from mgsgraph.text import cell, many, short
 from mgsgraph.units import ARCSEC, DEG, KM
 
@@ -74,7 +74,7 @@ def picked(names: Sequence[str], index: np.ndarray) -> Names | RepeatedNames:
     if isinstance(names, Names | RepeatedNames):
         return names[index]
     distinct = tuple(dict.fromkeys(names))
-    number = {name: k for k, name in enumerate(distinct)}
+    number = numbered(distinct)
     return RepeatedNames(distinct, np.array([number[name] for name in names], dtype=np.int64)[index])
 
 

@@ -216,8 +216,7 @@ def read_moc_pixels(path: Path) -> Pixels:
         No such image, a file shorter than its label says, a compressed one where pdr is not installed, or a cube.
     """
     root = read_label(path)
-    if cube_of(root) is not None:
-        raise InputError(str(path), "the label of a cube", "the cube, or a PDS3 image or its label")
+    require(cube_of(root) is None, str(path), "the label of a cube", "the cube, or a PDS3 image or its label")
     label, area = label_of(path, root), pixel_area(path, root)
     _require_size(label, area)
     return _decompressed(label, area) if area.encoding else _plain(label, area)

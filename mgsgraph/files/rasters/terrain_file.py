@@ -18,8 +18,16 @@ from numpy.typing import NDArray
 from mgsgraph.errors import InputError, require
 from mgsgraph.files.datum import ellipsoid_of, require_surface, vertical_of
 from mgsgraph.files.rasters.raster_file import open_raster, raster_understood, read_band, require_in_file
-from mgsgraph.geometry.body import Ellipsoid, from_geodetic, from_planetocentric, geodetic, in_turn, planetocentric
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.body import (
+    Ellipsoid,
+    ellipsoidal_heights,
+    from_geodetic,
+    from_planetocentric,
+    geodetic,
+    in_turn,
+    planetocentric,
+)
+from mgsgraph.geometry.records import Array, Index, all_pairs
 from mgsgraph.geometry.terrain import PostLattice, TerrainGrid, TerrainKind, between_nodes, window
 from mgsgraph.units import DEG, KM
 
@@ -249,14 +257,14 @@ class TerrainRaster:
     def _height(self, points: Array) -> Array:
         """(n,) m, of points (n, 3) above the reference."""
         if isinstance(self.reference, Ellipsoid):
-            return np.asarray(geodetic(points, self.reference)[:, 2])
+            return np.asarray(ellipsoidal_heights(points, self.reference))
         level = self.reference.at(points) if isinstance(self.reference, TerrainGrid) else self.reference
         return np.asarray(np.linalg.norm(points, axis=1) - level)
 
     def _extent(self) -> tuple[Array, Array, Array]:
         """Least and largest longitude and latitude of its posts, and steps as wide as those between them; (2,) rad."""
         last, level = np.array(self.values.shape) - 1.0, float(np.nanmean(self.values))
-        row, column = (axis.ravel() for axis in np.meshgrid(*(np.linspace(0.0, end, _OUTLINE) for end in last)))
+        row, column = all_pairs(*(np.linspace(0.0, end, _OUTLINE) for end in last)).T
         longitudes, latitudes, radii = planetocentric(self.points(row, column, np.full(row.size, level))).T
         longitudes = in_turn(longitudes, float(np.angle(np.mean(np.exp(1j * longitudes)))))
         low, high = (np.array([cut(longitudes), cut(latitudes)]) for cut in (np.nanmin, np.nanmax))
@@ -366,7 +374,7 @@ def _surface(reference: Reference, kind: TerrainKind) -> str:
     return "ellipsoid" if isinstance(reference, Ellipsoid) else "areoid"
 
 
-def _values(file: "DatasetReader", rows: slice, columns: NDArray[np.int64], path: Path) -> NDArray[Any]:
+def _values(file: "DatasetReader", rows: slice, columns: Index, path: Path) -> NDArray[Any]:
     """(rows, columns) m; NaN where a post is missing."""
     from rasterio.windows import Window
 

@@ -296,10 +296,12 @@ _HRSC_PITCH = 142.857
 """Pixels of 7 micrometres per mm."""
 _HRSC_SIZES = {2584: 2, 1288: 4, 640: 8}
 """Macropixels of archived images by their number of samples."""
+Corrected = tuple[SupportData, list[str]]
+"""Support data, and what was corrected, in sentences."""
 _ANOTHER_ROAD = "read its cube after spiceinit, or its label and kernels"
 
 
-def repaired(isd: SupportData, source: str) -> tuple[SupportData, list[str]]:
+def repaired(isd: SupportData, source: str) -> Corrected:
     """Support data as they were meant, and what was corrected, in sentences.
 
     Raises
@@ -325,7 +327,7 @@ def _require_units(isd: SupportData, source: str) -> None:
             raise InputError(where, found, "kilometres", "divide positions and velocities by 1000, or write unit 'm'")
 
 
-def _line_times_past_epoch(isd: SupportData, _: str) -> tuple[SupportData, list[str]]:
+def _line_times_past_epoch(isd: SupportData, _: str) -> Corrected:
     """Older ALE wrote HRSC's line times as ephemeris times; those of all programs count from the centre time."""
     table = np.array(isd.line_scan_rate)
     late = np.abs(table[:, 1] - isd.center_ephemeris_time) < _LONGEST
@@ -335,7 +337,7 @@ def _line_times_past_epoch(isd: SupportData, _: str) -> tuple[SupportData, list[
     return _with_rates(isd, table), ["line times past J2000 counted from center_ephemeris_time"]
 
 
-def _line_times_of_lroc(isd: SupportData, source: str) -> tuple[SupportData, list[str]]:
+def _line_times_of_lroc(isd: SupportData, source: str) -> Corrected:
     """Line times with the corrections that ISIS's camera of LROC-NAC makes, where the file lacks them.
 
     ISIS's own support data have the times of the label, while its keywords state a preroll in lines and an error of
@@ -357,7 +359,7 @@ def _line_times_of_lroc(isd: SupportData, source: str) -> tuple[SupportData, lis
     return _with_rates(isd, np.array([[line, start, period]])), [words]
 
 
-def _boresight_by_isis(isd: SupportData, _: str) -> tuple[SupportData, list[str]]:
+def _boresight_by_isis(isd: SupportData, _: str) -> Corrected:
     """ISIS counts the centre of the detector's first pixel as 1. Older ALE gave its keyword for the centre as it
     stands, present drivers take the half pixel off. Only with it off do ISIS's own adjusted cameras of NAC-L and NAC-R
     see the points that they were fixed to (docs/evidence_real.md).
@@ -370,7 +372,7 @@ def _boresight_by_isis(isd: SupportData, _: str) -> tuple[SupportData, list[str]
     return structs.replace(isd, detector_center=centre), [words]
 
 
-def _moc(isd: SupportData, source: str) -> tuple[SupportData, list[str]]:
+def _moc(isd: SupportData, source: str) -> Corrected:
     """What ALE's mgs_drivers write of MOC: line periods without the summing, a pixel pitch as distortion, FORTRAN's
     counting of the first sample and the centre, and attitudes whose labels it moves by 1.15 s.
     """
@@ -382,7 +384,7 @@ def _moc(isd: SupportData, source: str) -> tuple[SupportData, list[str]]:
     return isd, of_lines + of_optics
 
 
-def _moc_line_period(isd: SupportData) -> tuple[SupportData, list[str]]:
+def _moc_line_period(isd: SupportData) -> Corrected:
     (line, start, period), *others = isd.line_scan_rate
     summing, lasts = isd.detector_line_summing, -2.0 * start  # center_ephemeris_time is the middle
     for times, unit in ((summing, ""), (summing / 1000.0, ", and milliseconds were called seconds")):
@@ -392,7 +394,7 @@ def _moc_line_period(isd: SupportData) -> tuple[SupportData, list[str]]:
     return isd, []
 
 
-def _moc_optics(isd: SupportData, source: str) -> tuple[SupportData, list[str]]:
+def _moc_optics(isd: SupportData, source: str) -> Corrected:
     coefficients = isd.optical_distortion.get("radial", {}).get("coefficients")
     if not isinstance(coefficients, list) or len(coefficients) != 3 or not any(coefficients):
         return isd, []
@@ -428,7 +430,7 @@ def _require_moc_attitude(isd: SupportData, source: str) -> None:
         raise InputError(where, found, f"those of {-ATTITUDE_BIAS} s before, as ISIS takes them for MOC", _ANOTHER_ROAD)
 
 
-def _hrsc(isd: SupportData, source: str) -> tuple[SupportData, list[str]]:
+def _hrsc(isd: SupportData, source: str) -> Corrected:
     """What ALE's mex_drivers write of HRSC: no summing where the image has macropixels, and the pixels of the SRC."""
     if not (isd.name_sensor or "").startswith(_HRSC):
         return isd, []
@@ -444,7 +446,7 @@ def _hrsc(isd: SupportData, source: str) -> tuple[SupportData, list[str]]:
     return structs.replace(isd, detector_sample_summing=float(summing)), [words]
 
 
-def _ctx(isd: SupportData, source: str) -> tuple[SupportData, list[str]]:
+def _ctx(isd: SupportData, source: str) -> Corrected:
     """Lines of CTX summed 2 x 2 take two line times (ISIS CTXCamera), of which ALE's mro_drivers write one; by labels,
     its tables end with these, in the image's middle.
     """
@@ -460,7 +462,7 @@ def _ctx(isd: SupportData, source: str) -> tuple[SupportData, list[str]]:
     return _with_rates(isd, np.array([[line, start, period * summing]])), [words]
 
 
-def _themis(isd: SupportData, source: str) -> tuple[SupportData, list[str]]:
+def _themis(isd: SupportData, source: str) -> Corrected:
     """What ALE's ody_drivers write of THEMIS-IR: another focal length, no distortion, and half a detector line less
     ahead at a time half a line later. Of cubes with tables the line tells the band; of those without neither line nor
     time is the band's.

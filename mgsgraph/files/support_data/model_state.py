@@ -26,7 +26,7 @@ from mgsgraph.geometry.body import Ellipsoid, require_possible
 from mgsgraph.geometry.camera import InteriorOrientation
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.plausibility import require_near_sun
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, by_value
 from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.geometry.trajectory import AttitudeTable, FixedTrajectory, PositionTable
 from mgsgraph.units import MM
@@ -287,8 +287,7 @@ class _EvenTable:
         beside = np.minimum(index, len(self.nodes) - 2 - index)
         orders = np.minimum(2 * np.minimum(beside, 3) + 2, self.highest)
         values = np.empty((times.size, self.nodes.shape[1]))
-        for order in np.unique(orders).tolist():
-            of_order = np.flatnonzero(orders == order)
+        for order, of_order in by_value(orders):
             offsets = np.arange(order) - (order // 2 - 1)
             distances = (where - index + moved)[of_order, None] - offsets
             factors = np.where(np.eye(order, dtype=bool), 1.0, distances[:, None, :])

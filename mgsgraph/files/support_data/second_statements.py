@@ -212,7 +212,7 @@ def _refuse(pair: _Repeated, source: str) -> None:
 def _radii(keywords: NaifKeywords, body: Ellipsoid, where: str) -> Iterator[str]:
     code = int(number(keywords, "BODY_CODE")) if "BODY_CODE" in keywords else None
     keys = [key for key in keywords.values if re.fullmatch(r"BODY\d+_RADII", key)]
-    nearest = min(keys, key=lambda candidate: _radius_difference(keywords, candidate, body), default="")
+    nearest = min(keys, key=lambda key: abs(float(keywords.numbers(key, 3)[0]) * KM - body.equatorial), default="")
     key = nearest if code is None else f"BODY{code}_RADII"
     require_possible(body, body_name(code) if code is not None else "", where)
     if keys and key not in keys:
@@ -230,11 +230,6 @@ def _radii(keywords: NaifKeywords, body: Ellipsoid, where: str) -> Iterator[str]
             raise InputError(f"{where}.{name}", both, "one radius", f"fix radii, their unit or {key}")
         if abs(radius - by_key) > _SAME * abs(by_key):
             yield f"radii.{name} is {both}"
-
-
-def _radius_difference(keywords: NaifKeywords, key: str, body: Ellipsoid) -> float:
-    """M between an equatorial radius and the body's."""
-    return abs(float(keywords.numbers(key, 3)[0]) * KM - body.equatorial)
 
 
 def _focal_length(isd: SupportData, keywords: NaifKeywords, source: str) -> Iterator[str]:

@@ -25,7 +25,7 @@ from mgsgraph.errors import require
 from mgsgraph.files.altimetry.shots import read_shots
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.body import east_north, east_north_up
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.records import Array, Index, Mask, no_rows
 from mgsgraph.network import Network, SharedKind, SharedUnknown
 from mgsgraph.network.shared import beam_motion
 from mgsgraph.record import Record
@@ -189,7 +189,7 @@ def checked(model: HeightGrid, profiles: Sequence[CheckProfile]) -> HeightChecks
     parts = [_differences(model, entry, k) for k, entry in enumerate(profiles)]
     ids = tuple(name for part, _ in parts for name in part)
     columns = [np.concatenate(column) for column in zip(*(arrays for _, arrays in parts), strict=True)] or [
-        np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros((0, 2)), *(np.zeros(0) for _ in range(4))
+        no_rows(), np.zeros((0, 3)), np.zeros((0, 2)), *(np.zeros(0) for _ in range(4))
     ]  # fmt: skip
     profile, *rest = columns
     return HeightChecks(tuple(entry.name for entry in profiles), profile, ids, *rest)

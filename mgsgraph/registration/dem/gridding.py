@@ -35,7 +35,7 @@ from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.errors import InputError
 from mgsgraph.files.rasters.raster_file import equal_area_crs, wkt2
 from mgsgraph.geometry.body import Ellipsoid, east_north_up, from_planetocentric, planetocentric
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, all_pairs
 from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.geometry.terrain import between_nodes
 from mgsgraph.matching.scene import Ground, GroundChart, Picture, Scene
@@ -281,7 +281,7 @@ class MapGrid(Record):
         """(rows * columns, 2) m, x and y of all posts, row after row."""
         x = self.west + (np.arange(self.columns) + 0.5) * self.post
         y = self.north - (np.arange(self.rows) + 0.5) * self.post
-        return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+        return all_pairs(x, y)
 
     def pixels(self, plane: Array) -> Array:
         """(n, 2) row and column of positions (n, 2) in m, the first post at (0, 0)."""
@@ -294,8 +294,7 @@ class MapGrid(Record):
     def frames(self, points: Array) -> Array:
         """(n, 3, 3) unit vectors along x, along y and upward at points (n, 3) in m, body-fixed."""
         up = unit_vectors(points)
-        x = self.chart.axes[0] - (up @ self.chart.axes[0])[:, None] * up
-        x /= np.linalg.norm(x, axis=1, keepdims=True)
+        x = unit_vectors(self.chart.axes[0] - (up @ self.chart.axes[0])[:, None] * up)
         return np.stack([x, np.cross(up, x), up], axis=1)
 
 
@@ -408,7 +407,7 @@ def _fitted(
     return posts
 
 
-def _by_cell(points: DensePoints, grid: MapGrid) -> tuple[NDArray[np.int64], Array, Array, Array, NDArray[np.int64]]:
+def _by_cell(points: DensePoints, grid: MapGrid) -> tuple[Index, Array, Array, Array, Index]:
     """Input of the kernel: first point of each cell, positions, covariances along the map's axes in posts, pairs."""
     pixels = grid.pixels(grid.chart.plane(points.positions))
     nearest = np.rint(pixels).astype(np.int64)
@@ -420,7 +419,7 @@ def _by_cell(points: DensePoints, grid: MapGrid) -> tuple[NDArray[np.int64], Arr
     positions = points.positions[order]
     frame = grid.frames(positions) / np.array([grid.post, grid.post, 1.0])[:, None]
     spread = np.einsum("nij,nj->ni", frame, points.matching[order])
-    orientation = frame @ points.orientation[order] @ np.swapaxes(frame, 1, 2)
+    orientation = frame @ points.orientation[order] @ frame.mT
     heights = np.linalg.norm(positions, axis=1) - grid.radius
     return first, np.column_stack([pixels[order], heights]), spread, orientation, points.pair[order]
 

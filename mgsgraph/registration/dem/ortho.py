@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.case.schema import CaseInput
 from mgsgraph.errors import InputError, errors_from
-from mgsgraph.geometry.body import east_north_up, geodetic
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.body import east_north_up, ellipsoidal_heights
+from mgsgraph.geometry.records import Array, Mask, sigmas_of
 from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.matching.patches import Tile, ortho_patch
 from mgsgraph.matching.scene import Ground, Picture, Scene
@@ -77,7 +77,7 @@ def ortho_tiles(
             yield row, column, np.where(visible, np.maximum(patch.grey[::-1], 1), 0).astype(np.uint8)
 
 
-def _nearest(has_height: NDArray[np.bool_], model: MapGrid, part: MapGrid) -> NDArray[np.bool_]:
+def _nearest(has_height: Mask, model: MapGrid, part: MapGrid) -> Mask:
     """(rows, columns) whether the post of the model in whose cell each pixel of `part` lies has a height."""
     y = part.north - (np.arange(part.rows) + 0.5) * part.post
     x = part.west + (np.arange(part.columns) + 0.5) * part.post
@@ -121,8 +121,8 @@ def ortho_accuracy(posterior: Posterior, scene: Scene, matched: "DenseMatches", 
         moved = along * (model.matching.ravel()[part] / np.einsum("ni,ni->n", along, normal))[:, None]
         level = east_north_up(points)[:, :2]
         spread = nodes.at(np.nan_to_num(pixels)) + moved[:, :, None] * moved[:, None]
-        covariances = level @ spread @ np.swapaxes(level, 1, 2)
-        bands[:2, part] = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2)).T
+        covariances = level @ spread @ level.mT
+        bands[:2, part] = sigmas_of(covariances).T
         bands[2, part] = covariances[:, 0, 1] / bands[:2, part].prod(axis=0)
     return bands.reshape(3, grid.rows, grid.columns)
 
@@ -139,7 +139,7 @@ def expected_ground(posterior: Posterior, tables: CaseInput) -> tuple[float | No
     points = points[np.linalg.norm(points, axis=1) > 0.0]
     if tables.terrain_models or not len(points):
         return None, None
-    heights = geodetic(points, posterior.network.images[0].body)[:, 2]
+    heights = ellipsoidal_heights(points, posterior.network.body)
     return float(np.median(heights)), max(_LEAST_SIGMA, 2.0 * float(heights.std()))
 
 
@@ -166,12 +166,12 @@ def adjusted_names(
         names = image_names(chosen, available) or list(available)
     if len(names) < 2:
         raise InputError(where, f"one image for a terrain model ({names[0]})", "two different ones, at least")
-    adjusted = [image.name for image in posterior.network.images]
+    adjusted = posterior.network.image_names
     if missing := [name for name in names if name not in adjusted]:
         both = sum(name in adjusted for name in available) > 1
         raise InputError(
-            where, f"images that the solution doesn't have: {some(missing, len(missing))}",
-            f"those that were adjusted ({some(adjusted, len(adjusted))})",
+            where, f"images that the solution doesn't have: {some(missing)}",
+            f"those that were adjusted ({some(adjusted)})",
             "adjust this case, or give --image" if both else "give the case that was adjusted",
         )  # fmt: skip
     return names

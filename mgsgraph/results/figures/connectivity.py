@@ -11,7 +11,7 @@ from matplotlib.ticker import MaxNLocator
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import solution_connectivity
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, no_rows
 from mgsgraph.network.connectivity import WEAKEST, Connectivity, connectivity_statements, lacking_ties
 from mgsgraph.results.figures.sheet import INK, MOST_ROWS, Sheet, image_rows, new_sheet, plain_style
 from mgsgraph.text import short
@@ -57,7 +57,7 @@ def connectivity_sheet(connected: Connectivity) -> Sheet:
             panel.annotate(f"{values[j, k]:.0f}", (k, j), ha="center", va="center", size=7.5, color=ink)
     weakest: Index = connected.spine[: min(WEAKEST, connected.spine.size // 2)]
     marked = [connected.pairs[rows[:MOST_ROWS]] for rows in (weakest, lacking_ties(connected), connected.disjoint)]
-    isolated = connected.unconnected if count > 1 else np.zeros(0, dtype=np.int64)
+    isolated = connected.unconnected if count > 1 else no_rows()
     handles = []
     for (label, marker, color), pairs in zip(_MARKS, (*marked, np.stack([isolated, isolated], axis=1)), strict=True):
         if pairs.size:

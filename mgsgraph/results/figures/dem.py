@@ -118,7 +118,7 @@ def _caption(dem: Dem) -> str:
     checks, has_height = dem.checks, np.isfinite(dem.heights)
     text = (
         f"Heights every {number(dem.model.map.post)} m from "
-        f"{some([short(name, 30) for name in dem.images], len(dem.images))}, lit from the north-west; sigma "
+        f"{some([short(name, 30) for name in dem.images])}, lit from the north-west; sigma "
         f"{number(float(np.median(dem.model.sigmas[has_height])))} m (median)"
     )
     if not len(checks):

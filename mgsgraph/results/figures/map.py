@@ -113,7 +113,7 @@ def block_window(solution: Solution, connected: Connectivity | None = None) -> M
     moved = np.einsum("nij,nj->ni", axes[:, :2], (solution.places - solution.places_before)[rows])
     horizontal = None
     if len(rows) <= MOST_MARKS:
-        horizontal = axes[:, :2] @ covariances @ np.swapaxes(axes[:, :2], 1, 2)
+        horizontal = axes[:, :2] @ covariances @ axes[:, :2].mT
     corners = np.concatenate([places, *outlines.values()])
     about = (solution.name, centre, corners, outlines)
     return points_window(about, places, sigmas, ("3-D sigma", "m"), classes[rows], horizontal, moved)
@@ -206,8 +206,9 @@ def window_sheet(window: MapWindow) -> Sheet:
     """A window of the map, its points colored by one quantity."""
     low, high, (width, height) = frame(window.box.reshape(2, 2) / KM)
     longest = float((window.box[2:] - window.box[:2]).max())
-    factors = _enlargement(window, _ellipse_radii(window), _ELLIPSE * longest), _enlargement(window, _movements(window),
-                                                                                             _ARROW * longest)
+    movements = np.zeros(0) if window.moved is None else np.linalg.norm(window.moved, axis=1)
+    factors = (_enlargement(window, _ellipse_radii(window), _ELLIPSE * longest),
+               _enlargement(window, movements, _ARROW * longest))  # fmt: skip
     title, unit = window.quantity
     name = f"{short(window.name, int(8.5 * width) + 20 - len(title))}: {title}"
     sheet = new_sheet("map", width + 3.0, height + 0.69, name, _caption(window, factors), band=0.0)
@@ -298,10 +299,6 @@ def _ellipse_radii(window: MapWindow) -> Array:
         return np.zeros(0)
     known = np.all(np.isfinite(window.covariances), axis=(1, 2))
     return error_ellipses(window.covariances[known])[0][:, 1]
-
-
-def _movements(window: MapWindow) -> Array:
-    return np.zeros(0) if window.moved is None else np.linalg.norm(window.moved, axis=1)
 
 
 def _enlargement(window: MapWindow, lengths: Array, target: float) -> float:

@@ -7,6 +7,7 @@ from mgsgraph.geometry.records import Array, thinned
 from mgsgraph.matching.coarse import match_offsets
 from mgsgraph.matching.match import Matches
 from mgsgraph.matching.scene import Scene, by_pair, footprints
+from mgsgraph.names import numbered
 from mgsgraph.results.figures.sheet import AFTER, BEFORE, INK, MOST_MARKS, SOFT, Sheet, new_sheet, number, plain_style
 from mgsgraph.units import KM
 
@@ -44,7 +45,7 @@ def matches_sheet(matches: Matches, scene: Scene, name: str) -> Sheet:
 def _nominal(matches: Matches, scene: Scene) -> tuple[Array, Array]:
     """Places of matches (n, 2), m of the chart, and their displacements (n, 2), m, by the nominal orientations."""
     ties, reference = matches.ties, matches.reference
-    number_of = {picture.image.name: j for j, picture in enumerate(scene.pictures)}
+    number_of = numbered(picture.image.name for picture in scene.pictures)
     picture = np.array([number_of[name] for name in ties.measure_image])
     first = np.zeros(len(ties.ids), dtype=np.int64)
     first[ties.measure_point[reference]] = np.flatnonzero(reference)

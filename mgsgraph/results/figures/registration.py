@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from mgsgraph.files.pvl import cube_of, read_label
 from mgsgraph.files.rasters.pictures import Pixels, as_bytes, is_moc, read_picture
-from mgsgraph.geometry.body import geodetic
+from mgsgraph.geometry.body import ellipsoidal_heights
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network.footprints import Misregistration
 from mgsgraph.registration.case import CaseRegistration, ProfileRegistration
 from mgsgraph.results.figures.sheet import (
@@ -141,7 +141,7 @@ def _ordered_profiles(registration: CaseRegistration, j: int) -> list[int]:
     return order[: len(_MARKERS)]
 
 
-def _track_shots(registration: CaseRegistration, j: int, p: int) -> tuple[NDArray[np.int64], Array]:
+def _track_shots(registration: CaseRegistration, j: int, p: int) -> tuple[Index, Array]:
     """Shots (n,) of a profile that fall in an image, and their lines (n,) in order, under the best orientation there
     is; those of one orbit, for a file may hold several: the one taken along with the image, else the longest.
     """
@@ -160,7 +160,7 @@ def footprint_heights(profile: ProfileRegistration, image: PushbroomImage) -> tu
     heights = np.linalg.norm(shots.footprints, axis=1) - shots.areoid_radii
     if np.all(np.isfinite(heights)):
         return heights, "areoid"
-    return geodetic(shots.footprints, image.body)[:, 2], "ellipsoid"
+    return ellipsoidal_heights(shots.footprints, image.body), "ellipsoid"
 
 
 def _draw_picture(panel: Axes, pixels: Pixels | None, image: PushbroomImage) -> None:

@@ -157,7 +157,7 @@ def _profile_sheet(registration: ReliefRegistration, profile: ReliefProfile, nam
     grid = sheet.panels(2, 2, heights=[2.0, 1.0], sharex=True, sharey="row")
     along = _plane_positions(profile)[:, 0]
     order = np.argsort(along, kind="stable")
-    along, body = along[order], registration.solution.network.images[0].body
+    along, body = along[order], registration.solution.network.body
     for (upper, lower), state, heading in zip(grid.T, (profile.before, profile.after), _panel_titles(profile),
                                               strict=True):
         heights, differences = geodetic(state.points, body)[order, 2], _heights_above(profile, state)[order]

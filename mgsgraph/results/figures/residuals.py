@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import medians, used_rays
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, finite_rows
 from mgsgraph.network import PointClass
 from mgsgraph.results.figures.sheet import (
     AFTER,
@@ -61,7 +61,7 @@ def residual_matrix(solution: Solution, point_class: PointClass) -> Array | None
 @plain_style()
 def residual_sheets(solution: Solution) -> list[Sheet]:
     """Medians of the residuals of all images along their lines, and the rms and largest residual of each image."""
-    names, row = [image.name for image in solution.network.images], image_rows(len(solution.network.images))
+    names, row = solution.network.image_names, image_rows(len(solution.network.images))
     matrices = [(point_class, matrix) for point_class in _SHOWN
                 if (matrix := residual_matrix(solution, point_class)) is not None]
     spreads, largest = _spreads(solution, row)
@@ -117,7 +117,7 @@ def _spreads(solution: Solution, row: Index) -> tuple[Array, Array]:
 
 def _residual_caption(solution: Solution, spreads: Array, largest: Array) -> str:
     """Caption with the main numbers."""
-    rejected = int(np.count_nonzero(~solution.rays_used & np.all(np.isfinite(solution.residuals), axis=1)))
+    rejected = int(np.count_nonzero(~solution.rays_used & finite_rows(solution.residuals)))
     figures = np.nanmedian(spreads), np.nanmax(spreads), np.nanmax(largest)
     middle, most, worst = (number(float(value)) for value in figures)
     return (

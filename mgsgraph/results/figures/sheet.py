@@ -103,15 +103,12 @@ class Sheet(Record):
         )
         return axes
 
-    def band_height(self) -> float:
-        """Middle of the legend band as a share of the figure's height."""
-        return 1.0 - (_MARGIN + _TITLE + 0.42 * _BAND) / float(self.figure.get_figheight())
-
     def legend(self, handles: Sequence[Artist]) -> None:
-        """A legend in one row, in the band under the title."""
+        """A legend in one row, in the middle of the band under the title."""
+        width, height = self.figure.get_size_inches().tolist()
         self.figure.legend(
             handles=list(handles), loc="center left", ncols=max(len(handles), 1), borderaxespad=0.0, borderpad=0.0,
-            bbox_to_anchor=(_MARGIN / float(self.figure.get_figwidth()), self.band_height()),
+            bbox_to_anchor=(_MARGIN / width, 1.0 - (_MARGIN + _TITLE + 0.42 * _BAND) / height),
         )
 
     def colour_bar(

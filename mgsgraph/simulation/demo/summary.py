@@ -12,7 +12,7 @@ from mgsgraph.case.reading import Case
 from mgsgraph.files.output.folders import DEMO, PROGRAM
 from mgsgraph.files.output.table import Table, plain, write_json
 from mgsgraph.geometry import rotation
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, sigmas_of
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.network import PointClass
 from mgsgraph.registration.minima import ReliefRegistration
@@ -117,7 +117,7 @@ def shifts_table(demo: Demonstration) -> Table:
     moved = -np.asarray(grid_shift(demo.simulated.terrain))  # known by its file's name where it takes part by cells
     true |= dict.fromkeys(("terrain model", grid_file(demo.simulated, "r")), moved)
     names = solution.network.shift_names
-    sigmas = np.array([np.sqrt(np.diagonal(solution.shift_covariance(p))) for p in range(len(names))])
+    sigmas = np.array([sigmas_of(solution.shift_covariance(p)) for p in range(len(names))])
     return table_of("true_shifts", {
         "name": list(names), "true_{}": np.array([true[name] for name in names]), "found_{}": np.array(solution.shifts),
         "sigma_{}": sigmas,
@@ -205,4 +205,4 @@ def _orientation(demo: Demonstration, j: int) -> dict[str, Any]:
 
 def _turn(pose: Pose, true: Pose) -> Array:
     """(n, 3) rad about the camera's axes, by which the camera is turned from its true attitude."""
-    return -rotation.logarithm(pose.matrix @ np.swapaxes(true.matrix, 1, 2))
+    return -rotation.logarithm(pose.matrix @ true.matrix.mT)

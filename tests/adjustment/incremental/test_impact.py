@@ -88,7 +88,7 @@ def require_images(impact: Impact, before: State, after: State) -> None:
 
 def shared_points(network: Network, name: str, places: Places) -> dict[str, int]:
     """How many points with a place each other image shares with one."""
-    names, rays = [image.name for image in network.images], network.rays
+    names, rays = network.image_names, network.rays
     seen = Counter[str]()
     sees = {(i, names[j]) for i, j in zip(rays.point.tolist(), rays.image.tolist(), strict=True)}
     for i, point in enumerate(network.points.ids):

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from outside import refuses
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.altimetry.lidar import read_lidar
@@ -144,5 +145,4 @@ def test_a_key_twice_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "lidar.json"
     for key, twice in (('"time":', '"time" : 3, "time":'), ('"line": 1.0', '"line": 1.0, "line": 2.0')):
         path.write_text(json.dumps({"points": [SHOT]}).replace(key, twice, 1))
-        with pytest.raises(InputError, match="twice"):
-            read_lidar(path)
+        refuses("twice", read_lidar, path)

@@ -11,6 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mex import CHANGES, CUBE, FOLDER, LABEL, LINES, SAMPLES, START, cube_bytes, image_bytes, kernels, times_file
 from mgs import changed
+from outside import refuses
 from strategies import turned
 
 from mgsgraph.case.case_file import read_image
@@ -450,8 +451,7 @@ def test_the_footprint_is_the_archives(image: PushbroomImage) -> None:
 def test_the_addendum_must_come_after_the_instrument_kernel(label: Path, shared_data: Path, times: Path) -> None:
     """Both call the focal length the same, and 175 mm would be taken for 174.82 without a word."""
     turned_round = kernels(shared_data, ["hrscAddendum004.ti", "MEX_HRSC_V03.TI"])
-    with pytest.raises(InputError, match="175 mm, the instrument kernel's"):
-        read_labelled_image(label, turned_round, line_times=times)
+    refuses("175 mm, the instrument kernel's", read_labelled_image, label, turned_round, line_times=times)
 
 
 def test_settings_are_heard(label: Path, shared_data: Path, times: Path, image: PushbroomImage) -> None:
@@ -464,8 +464,7 @@ def test_settings_are_heard(label: Path, shared_data: Path, times: Path, image: 
 
 
 def test_strips_that_do_not_belong_together(labels: list[Path], shared_data: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="1 names and 0 line times for 9 labels"):
-        read_pass_images(labels, kernels(shared_data), ["one"])
+    refuses("1 names and 0 line times for 9 labels", read_pass_images, labels, kernels(shared_data), ["one"])
     other = tmp_path / "BLUE.lbl"
     other.write_text(labels[3].read_text().replace("= MARS\n", "= PHOBOS\n"))
     with pytest.raises(InputError, match=r"BLUE\.lbl: an image of PHOBOS; expected one of MARS"):

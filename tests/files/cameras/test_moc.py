@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import spiceypy
 from mgs import LABEL, START, STOP, changed, image_bytes, kernels
+from outside import refuses
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.cameras.camera import NaifKeywords
@@ -145,8 +146,7 @@ def test_a_faulty_label_is_refused_in_one_line(tmp_path: Path, old: str, new: st
 def test_a_faulty_cube_label_is_refused(
     isis_label: Path, shared_data: Path, tmp_path: Path, old: str, new: str, said: str
 ) -> None:
-    with pytest.raises(InputError, match=said):
-        read_labelled_image(changed_cube(isis_label, tmp_path, (old, new)), kernels(shared_data))
+    refuses(said, read_labelled_image, changed_cube(isis_label, tmp_path, (old, new)), kernels(shared_data))
     projected = ("  Group = BandBin", "  Group = Mapping\n  End_Group\n  Group = BandBin")
     assert "a map-projected cube" in refused(changed_cube(isis_label, tmp_path, projected))
 
@@ -219,8 +219,7 @@ def test_biases_reach_the_trajectory(isis_label: Path, shared_data: Path) -> Non
 
 def test_missing_camera_constants(isis_label: Path, shared_data: Path) -> None:
     fewer = [path for path in kernels(shared_data) if not path.name.startswith("mocAdd")]
-    with pytest.raises(InputError, match=r"no INS-94031_ITRANSL"):
-        read_labelled_image(isis_label, fewer)
+    refuses(r"no INS-94031_ITRANSL", read_labelled_image, isis_label, fewer)
 
 
 # --- pixels
@@ -236,8 +235,7 @@ def test_pixels_between_prefix_and_suffix(tmp_path: Path) -> None:
 def test_a_file_shorter_than_its_label(tmp_path: Path) -> None:
     path = written(tmp_path)
     path.write_bytes(path.read_bytes()[:-1])
-    with pytest.raises(InputError, match="3583 bytes; expected 3584 for 6 lines of 256 samples; it is cut short"):
-        read_moc_pixels(path)
+    refuses("3583 bytes; expected 3584 for 6 lines of 256 samples; it is cut short", read_moc_pixels, path)
 
 
 def test_compressed_pixels_are_those_of_the_decompressed_file(shared_data: Path) -> None:
@@ -252,8 +250,7 @@ def test_compressed_pixels_are_those_of_the_decompressed_file(shared_data: Path)
 def test_compressed_pixels_without_pdr(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pdr.formats.mgs_moc", None)
     path = written(tmp_path, ("OBJECT = IMAGE\n", "OBJECT = IMAGE\n  ENCODING_TYPE = MOC-PRED-X-5\n"))
-    with pytest.raises(InputError, match=r'compressed as MOC-PRED-X-5.*pip install "mgsgraph\[moc\]"'):
-        read_moc_pixels(path)
+    refuses(r'compressed as MOC-PRED-X-5.*pip install "mgsgraph\[moc\]"', read_moc_pixels, path)
 
 
 def fragment(length: int = 9, size: tuple[int, int] = (2, 3), status: int = 0) -> bytes:
@@ -272,11 +269,9 @@ def test_fragments_of_compressed_images(tmp_path: Path) -> None:
     require_fragments(area, 32, 48)
     for content in (fragment() + fragment(), fragment() + last[:-3], fragment(size=(65535, 3)) + last):
         path.write_bytes(bytes(2048) + content)
-        with pytest.raises(InputError, match="fetch it again"):
-            require_fragments(area, 32, 48)
+        refuses("fetch it again", require_fragments, area, 32, 48)
 
 
 def test_the_label_of_a_cube_that_is_not_there(isis_label: Path) -> None:
-    with pytest.raises(InputError, match="the label of a cube; expected the cube"):
-        read_moc_pixels(isis_label)
+    refuses("the label of a cube; expected the cube", read_moc_pixels, isis_label)
     assert pixels_of(isis_label) is None

@@ -10,6 +10,7 @@ from control_networks import IMAGES, SINGLE, as_set, free_networks
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from msgspec import structs
+from outside import refuses
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.asp_match import MatchFile, images_of, joined, match_files, read_match, read_match_text
@@ -176,11 +177,9 @@ def test_what_a_gcp_file_cannot_hold_is_left_out_or_refused() -> None:
     assert len(ground_control_text(net(point(), free, point("8", ignore=True)), MARS).splitlines()) == 3
     with pytest.raises(InputError, match="point 5: fixed without an a-priori place"):
         ground_control_text(net(ControlPoint("5", PointType.FIXED)), MARS)
-    with pytest.raises(InputError, match="point 5: constrained without positive variances"):
-        ground_control_text(net(point(sigma=0.0)), MARS)
+    refuses("point 5: constrained without positive variances", ground_control_text, net(point(sigma=0.0)), MARS)
     named = structs.replace(point(), measures=(ControlMeasure("a b", MeasureType.CANDIDATE, 1, 1),))
-    with pytest.raises(InputError, match="a name with blanks, commas or a #"):
-        ground_control_text(net(named), MARS)
+    refuses("a name with blanks, commas or a #", ground_control_text, net(named), MARS)
 
 
 # --- match files
@@ -300,8 +299,7 @@ def test_names_of_files_are_taken_apart(given: tuple[str, str, tuple[str, ...]])
     if isinstance(images, tuple):
         assert images_of(Path(name), prefix=prefix or None, known=known) == images
     else:
-        with pytest.raises(InputError, match=images):
-            images_of(Path(name), prefix=prefix or None, known=known)
+        refuses(images, images_of, Path(name), prefix=prefix or None, known=known)
 
 
 def test_images_that_no_file_can_tell_apart_are_refused(tmp_path: Path) -> None:
@@ -325,8 +323,7 @@ def test_damaged_files_are_refused(tmp_path: Path) -> None:
     odd = [SOUND[:20] + row + SOUND[24:] for row in (b"\x01\x00\xa0\x7f", struct.pack("<f", np.inf))]
     for content in [*(SOUND[:length] for length in range(len(SOUND))), SOUND + b"\0", *huge, *odd]:
         path.write_bytes(content)
-        with pytest.raises(InputError, match=r"x\.match"):
-            read_match(path, PAIR)
+        refuses(r"x\.match", read_match, path, PAIR)
 
 
 def test_text_is_columns_before_rows(tmp_path: Path) -> None:
@@ -338,8 +335,7 @@ def test_text_is_columns_before_rows(tmp_path: Path) -> None:
     np.testing.assert_array_equal(got.sigmas, [[0.5], [2]])
     for line, said in (("1 2 3 4 5", "5 fields; expected six"), ("1 2 1 3 4 0", "uncertainty 0 px; expected a pos")):
         path.write_text(f"1.5 2.5 1 3 4 1\n{line}\n")
-        with pytest.raises(InputError, match=f"x.txt, line 2: {said}"):
-            read_match_text(path, PAIR)
+        refuses(f"x.txt, line 2: {said}", read_match_text, path, PAIR)
 
 
 # --- NVM
@@ -385,8 +381,7 @@ def test_the_centre_is_half_the_image_and_a_file_beside_goes_first(tmp_path: Pat
 
     assert read_nvm(path, centres).points[0].measures[0].sample == 509.5
     assert read_nvm(path, shifted=False).points[0].measures[0].sample == -2.5
-    with pytest.raises(InputError, match=r"no optical centre of image left.tif, nor a net_offsets.txt .*--case"):
-        read_nvm(path)
+    refuses(r"no optical centre of image left.tif, nor a net_offsets.txt .*--case", read_nvm, path)
     offsets_path(path).write_text(OFFSETS)
     assert read_nvm(path, half_sizes({"left.tif": (1, 1)})).points[0].measures[0].sample == 509.5
 
@@ -440,5 +435,4 @@ def test_what_nvm_cannot_hold_is_refused(tmp_path: Path) -> None:
     given = network({"a b": (1, 1), "c": (1, 1)})
     with pytest.raises(InputError, match="image 'a b': a name with blanks"):
         nvm_files(given, tmp_path / "x.nvm", half_sizes({"a b": (1, 1), "c": (1, 1)}))
-    with pytest.raises(InputError, match=r"no size of image a b; .*--size NAME=LINESxSAMPLES"):
-        nvm_files(given, tmp_path / "x.nvm", {})
+    refuses(r"no size of image a b; .*--size NAME=LINESxSAMPLES", nvm_files, given, tmp_path / "x.nvm", {})

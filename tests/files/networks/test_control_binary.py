@@ -12,6 +12,7 @@ import pytest
 from control_networks import assert_same, contents, grid, labelled, networks, wire
 from hypothesis import given, settings
 from msgspec.structs import replace
+from outside import refuses
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.binary import (
@@ -209,8 +210,7 @@ def test_a_fault_is_found_where_it_is(fault: str) -> None:
 
 def test_any_prefix_is_refused() -> None:
     for length in {*range(0, 700, 7), *range(65536, len(WHOLE))}:
-        with pytest.raises(InputError, match=r"a\.net"):
-            parse_binary_network(WHOLE[:length], "a.net")
+        refuses(r"a\.net", parse_binary_network, WHOLE[:length], "a.net")
 
 
 def test_nothing_half_written(tmp_path: Path) -> None:
@@ -219,8 +219,7 @@ def test_nothing_half_written(tmp_path: Path) -> None:
     nowhere = ControlPoint(id="p", type=PointType.FREE, adjusted=(0.0, float("nan"), 0.0))
     for point, said in ((nowhere, r"here, point 3 \(p\): AdjustedY: nan"),
                         (replace(nowhere, id="p\ud800", adjusted=None), r"point 3 \(p.*\): text: ")):  # fmt: skip
-        with pytest.raises(InputError, match=said):
-            write_binary_network(replace(SMALL, points=(*SMALL.points, point), source="here"), path)
+        refuses(said, write_binary_network, replace(SMALL, points=(*SMALL.points, point), source="here"), path)
     assert path.read_bytes() == b"as it was"
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.net"]
 
@@ -317,8 +316,7 @@ SEEN = grid(2, 3).points[1].measures
     ],
 )
 def test_what_no_adjustment_can_take_is_said_with_byte_and_id(data: bytes, said: str) -> None:
-    with pytest.raises(InputError, match=rf"x\.net, byte \d+, point 2 .*{said}"):
-        binary_tie_points(data, "x.net")
+    refuses(rf"x\.net, byte \d+, point 2 .*{said}", binary_tie_points, data, "x.net")
 
 
 def test_texts_and_names_in_utf8_are_decoded() -> None:

@@ -11,6 +11,7 @@ import pytest
 from control_networks import contents, first_binary, networks, older, pvl_text
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from outside import refuses
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.binary import (
@@ -335,8 +336,7 @@ def test_a_fault_is_found_where_it_is(tmp_path: Path, fault: str) -> None:
     ],
 )
 def test_a_point_that_can_not_be(tmp_path: Path, old: str, new: str, said: str) -> None:
-    with pytest.raises(InputError, match=said):
-        read(tmp_path, SMALL.replace(old, new))
+    refuses(said, read, tmp_path, SMALL.replace(old, new))
 
 
 @pytest.mark.parametrize(

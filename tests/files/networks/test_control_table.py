@@ -12,6 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from msgspec import structs
 from msgspec.structs import replace
+from outside import refuses
 from pyarrow import parquet
 
 from mgsgraph.errors import InputError
@@ -68,8 +69,7 @@ def test_the_two_counts_differ_by_half_a_pixel(tmp_path: Path) -> None:
 def test_the_real_table_of_the_moc_pair(shared_data: Path, tmp_path: Path) -> None:
     """Its columns must be renamed, which is said in one line; its control points have no places. 66 points then."""
     path = shared_data / "mgs_moc_pair" / "tie_points.csv"
-    with pytest.raises(InputError, match=r"'product'; .*rename it to 'image'; and name line and sample isis_line and"):
-        read_table(path)
+    refuses(r"'product'; .*rename it to 'image'; and name line and sample isis_line and", read_table, path)
 
     first, rest = path.read_text().split("\n", 1)
     renamed = first.replace("product", "image").replace("line", "isis_line").replace("sample", "isis_sample")
@@ -149,8 +149,7 @@ def test_what_is_of_the_point_is_said_once_or_alike(tmp_path: Path) -> None:
     ],
 )
 def test_a_wrong_header_is_said(tmp_path: Path, header: str, said: str) -> None:
-    with pytest.raises(InputError, match=f"points.csv, line 1: .*{said}"):
-        read(tmp_path, f"{header}\n")
+    refuses(f"points.csv, line 1: .*{said}", read, tmp_path, f"{header}\n")
 
 
 @pytest.mark.parametrize(
@@ -222,8 +221,7 @@ def test_what_a_table_can_hold_survives(tmp_path: Path, given: ControlNetwork) -
 
 def test_names_that_no_table_can_hold_are_refused() -> None:
     point = ControlPoint("a", PointType.FREE, (ControlMeasure("a\nb", MeasureType.MANUAL, 1, 1),))
-    with pytest.raises(InputError, match="one line without blanks around it"):
-        table_text(ControlNetwork("", "", (point,)))
+    refuses("one line without blanks around it", table_text, ControlNetwork("", "", (point,)))
 
 
 def test_what_no_adjustment_uses_may_be_zero_or_missing(tmp_path: Path) -> None:
@@ -239,15 +237,13 @@ def test_what_no_adjustment_uses_may_be_zero_or_missing(tmp_path: Path) -> None:
 
 
 def test_files_of_other_programs_must_be_converted_first(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"a .nvm file; .*mgsgraph convert a.NVM network.net"):
-        read_tie_points(tmp_path / "a.NVM")
+    refuses(r"a .nvm file; .*mgsgraph convert a.NVM network.net", read_tie_points, tmp_path / "a.NVM")
 
 
 def test_kilometres_are_noticed_where_the_body_is_known(tmp_path: Path) -> None:
     text = "id,image,line,sample,x_m,y_m,z_m\na,A,1,1,3300,600,500\n"
     assert read(tmp_path, text).points[0].apriori is not None
-    with pytest.raises(InputError, match=r"line 2, point a, .*m from the body's centre; expected about 3.39619e\+06 m"):
-        read(tmp_path, text, MARS)
+    refuses(r"line 2, point a, .*m from the body's centre; expected about 3.39619e\+06 m", read, tmp_path, text, MARS)
 
 
 # --- Parquet
@@ -307,8 +303,7 @@ def test_kinds_of_columns(tmp_path: Path) -> None:
     ],
 )
 def test_a_fault_is_said_with_its_row_or_column(tmp_path: Path, columns: dict[str, Any], said: str) -> None:
-    with pytest.raises(InputError, match=rf"ties\.parquet.*{said}"):
-        read_tie_points(put(tmp_path, **columns))
+    refuses(rf"ties\.parquet.*{said}", read_tie_points, put(tmp_path, **columns))
 
 
 def test_a_file_that_says_to_hold_more_than_it_can(tmp_path: Path) -> None:
@@ -316,5 +311,4 @@ def test_a_file_that_says_to_hold_more_than_it_can(tmp_path: Path) -> None:
     path, rows = tmp_path / "ties.parquet", 40_000_000
     empty = pa.DictionaryArray.from_arrays(pa.array(np.zeros(rows, dtype=np.int8)), ["a"])
     parquet.write_table(pa.table({"id": empty}), path)
-    with pytest.raises(InputError, match="rows"):
-        read_tie_points(path)
+    refuses("rows", read_tie_points, path)
