@@ -28,6 +28,7 @@ from mgsgraph.kernel.lanes import (
     FORWARD,
     FOUR,
     GRADIENT,
+    HALF,
     LANES,
     LINE_OFFSET,
     MIXED,
@@ -50,7 +51,7 @@ from mgsgraph.kernel.lanes import (
     inlined,
     lane,
     summing,
-    transpose_four,
+    transpose_lanes,
 )
 from mgsgraph.kernel.measurements import all_rows, row_count, vector
 from mgsgraph.kernel.rows import GOOD, HUBER, IMAGE, NO_LOSS, PREDICTED, SURFACE, TUKEY, WEAK, Model
@@ -189,36 +190,6 @@ def state_pair(count_i, count_j, width_i, width_j, own, w, s, t, pair):
                     pair[k + l] = value if row == 0 else pair[k + l] + value
 
 
-@inlined
-def fours(count):
-    """Room for as many numbers, in fours."""
-    return FOUR * ((count + FOUR - 1) // FOUR)
-
-
-@lane
-def transpose_lanes(count, columns, row, first, w, transposed):
-    """Numbers (count / columns, columns) of registers from `first` on, whose rows are `row` apart, lane by lane: how
-    many there are for each, in fours.
-    """
-    stride, a, b = fours(count), 0, 0
-    for e in range(0, stride, FOUR):
-        first_number, a, b = register_of(a, b, columns, row)
-        second, a, b = register_of(a, b, columns, row)
-        third, a, b = register_of(a, b, columns, row)
-        fourth, a, b = register_of(a, b, columns, row)
-        for l in range(0, LANES, FOUR):
-            k = first + l
-            transpose_four(w, k + first_number, k + second, k + third, k + fourth, transposed, l * stride + e, stride)
-    return stride
-
-
-@inlined
-def register_of(a, b, columns, row):
-    """Register of a number (a, b), from the first one on; and the next number. Beyond the last one all goes on."""
-    register = a * row + b * LANES
-    return (register, a, b + 1) if b + 1 < columns else (register, a + 1, 0)
-
-
 @lane
 def weighted_sums(first, last, weights, weight, in_pairs, transposed, stride, sums, to):
     """Sums from `to` on, over lanes first .. last, of a register times the `stride` numbers of each lane; if
@@ -279,7 +250,9 @@ def sum_terms(rows, groups, target, segments, count, i, j, begin, w, s, t, pair,
     transposed, weights, sums = buffers
     terms_i, terms_j, same = rows.observation_terms[i], rows.observation_terms[j], i == j
     components_i, components_j = observation_columns(rows, i)[0], observation_columns(rows, j)[0]
-    stride, pairs = transpose_lanes(components_i * components_j, components_j, WIDTH, 0, pair, transposed), 0
+    symmetric = same and components_i == 6
+    columns, pairs = HALF if symmetric else components_j, 0
+    stride = transpose_lanes(components_i * columns, columns, WIDTH, 0, pair, transposed, symmetric)
     for p in range(terms_i):
         for q in range(p if same else 0, terms_j):
             for l in range(LANES):
@@ -294,11 +267,11 @@ def sum_terms(rows, groups, target, segments, count, i, j, begin, w, s, t, pair,
             for q in range(p if same else 0, terms_j):
                 entry_i, entry_j = rows.observation_entry[first + i] + p, rows.observation_entry[first + j] + q
                 start, down, across, one_variable = block_index(rows, groups, target, group, entry_i, entry_j)
-                add_sums(blocks, start, down, across, sums, at, components_i, components_j)
+                add_sums(blocks, start, down, across, sums, at, components_i, columns, symmetric)
                 if one_variable and entry_i != entry_j:  # a variable's block with itself holds both triangles
                     start, down, across, _ = block_index(rows, groups, target, group, entry_j, entry_i)
                     down, across = (down, across) if same else (across, down)
-                    add_sums(blocks, start, down, across, sums, at, components_i, components_j)
+                    add_sums(blocks, start, down, across, sums, at, components_i, columns, symmetric)
                 at += MOST_SUMS
 
 
@@ -352,7 +325,7 @@ def sum_right(rows, groups, target, segments, count, i, begin, w, s, buffers, gr
     """Add an observation's RIGHT to the gradient."""
     transposed, _, sums = buffers
     components, width, terms = observation_columns(rows, i)[0], rows.observation_width[i], rows.observation_terms[i]
-    stride = transpose_lanes(components, components, 0, s + RIGHT, w, transposed)
+    stride = transpose_lanes(components, components, 0, s + RIGHT, w, transposed, False)
     for k in range(count):
         first, last, pattern = segments[k, BEGIN], segments[k, END], segments[k, PATTERN]
         entry = rows.observation_entry[rows.pattern_observation[pattern] + i - begin]

@@ -309,6 +309,40 @@ call copies to the stack, below the stages of a tile.
 summing = _part({"contract", "nsz", "reassoc"})
 """The same for sums over lanes, whose order is free."""
 
+HALF = 4
+"""Numbers of each row of a symmetric 6 x 6 matrix, from the diagonal on and around, that hold all of it."""
+
+
+@inlined
+def fours(count):
+    """Room for as many numbers, in fours."""
+    return FOUR * ((count + FOUR - 1) // FOUR)
+
+
+@lane
+def transpose_lanes(count, columns, row, first, w, transposed, around):
+    """Numbers (count / columns, columns) of registers from `first` on, whose rows are `row` apart, lane by lane: how
+    many there are for each, in fours. `around`: each row begins on the diagonal of a 6 x 6 matrix, and goes around.
+    """
+    stride, a, b = fours(count), 0, 0
+    for e in range(0, stride, FOUR):
+        first_number, a, b = register_of(a, b, columns, row, around)
+        second, a, b = register_of(a, b, columns, row, around)
+        third, a, b = register_of(a, b, columns, row, around)
+        fourth, a, b = register_of(a, b, columns, row, around)
+        for l in range(0, LANES, FOUR):
+            k = first + l
+            transpose_four(w, k + first_number, k + second, k + third, k + fourth, transposed, l * stride + e, stride)
+    return stride
+
+
+@inlined
+def register_of(a, b, columns, row, around):
+    """Register of a number (a, b), from the first one on; and the next number. Beyond the last one all goes on."""
+    register = a * row + ((a + b) % 6 if around else b) * LANES
+    return (register, a, b + 1) if b + 1 < columns else (register, a + 1, 0)
+
+
 STATE_WIDTH = 9
 """Most components of an observation's state."""
 

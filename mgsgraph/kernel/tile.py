@@ -15,6 +15,7 @@ from mgsgraph.kernel.lanes import (
     DETECTOR,
     DISTANCE,
     FOCAL,
+    HALF,
     LANES,
     LINE_OFFSET,
     NOMINAL,
@@ -291,9 +292,15 @@ def block_index(rows, groups, target, group, i, j):
 
 
 @inlined
-def add_sums(blocks, start, down, across, sums, at, components_i, components_j):
-    """Add sums (components_i, components_j) to a block."""
-    for a in range(components_i):
+def add_sums(blocks, start, down, across, sums, at, components_i, components_j, symmetric):
+    """Add sums (components_i, components_j) to a block; of a `symmetric` matrix those that `lanes.HALF` says."""
+    for a in range(components_i if symmetric else 0):
+        for d in range(HALF):
+            b, value = (a + d) % 6, sums[at + a * HALF + d]
+            blocks[start + a * down + b * across] += value
+            if 0 < d < 3:  # what is opposite comes of both rows
+                blocks[start + b * down + a * across] += value
+    for a in range(0 if symmetric else components_i):
         row, k = start + a * down, at + a * components_j
         if across == 1 and components_j == 6:
             put_four(blocks, row, multiply_add(1.0, four(sums, k), four(blocks, row)))

@@ -237,6 +237,7 @@ def test_a_person_measures_the_real_moc_pair(browser: Any, shared_data: Path, tm
             seen.until(f"studio.last?.point === 'moc-{k + 1}'")
         seen.show("point")
         seen.run("studio.select('moc-3')")
+        seen.until("document.querySelector('#point h2')?.textContent.startsWith('moc-3: ')")  # not another one's sheet
         seen.tab.get_by_role("button", name="Reject").last.click()
         seen.until("studio.last.kind === 'reject'")
         seen.show("questions")
