@@ -77,6 +77,8 @@ class LineTiming(Record):
 
     def at(self, lines: Array) -> tuple[Array, Array]:
         """Times (n,) in s past the epoch of lines (n,), and seconds per line there."""
+        if self.periods.size == 1:
+            return self.start_times + (lines - self.first_lines) * self.periods, np.full(np.shape(lines), self.periods)
         k = np.maximum(np.searchsorted(self.first_lines, lines, side="right") - 1, 0)
         return self.start_times[k] + (lines - self.first_lines[k]) * self.periods[k], self.periods[k]
 

@@ -110,7 +110,7 @@ class Terms:
         """(r,) the same of each range."""
         if not network.passes:
             return
-        order, _, sizes = counted(rays.image, len(network.images))
+        order, _, sizes = counted(rays.image, np.arange(len(network.images)))
         ends = np.cumsum(sizes)
         for pass_ in network.passes:
             for j in pass_.images.tolist():
@@ -149,7 +149,7 @@ def by_point(point, image, node, points):
     slot : (k,)
         Place of each row among its point's.
     """
-    begin = np.zeros(points + 1, dtype=np.int64)
+    begin = np.zeros(points + 1, dtype=np.int32)
     for k in range(point.size):
         begin[point[k] + 1] += 1
     for i in range(points):
@@ -226,18 +226,20 @@ def distinct(signature):
 
 
 @cached_kernel
-def counted(number, count):
-    """Points in the order of their numbers (n,), each below `count`: that order, its inverse, and how many of each."""
-    sizes, at = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
+def counted(number, rank):
+    """Points in the order of the ranks (count,) of their numbers (n,): that order, its inverse, and how many of each
+    rank.
+    """
+    sizes, at = np.zeros(rank.size, dtype=np.int64), np.zeros(rank.size, dtype=np.int64)
     for i in range(number.size):
-        sizes[number[i]] += 1
-    for k in range(1, count):  # with `np.cumsum` a kernel from the cache would load numba's array functions and SciPy
+        sizes[rank[number[i]]] += 1
+    for k in range(1, rank.size):  # `np.cumsum` would load numba's array functions and SciPy with a kernel from the cache
         at[k] = at[k - 1] + sizes[k - 1]
     order, index = np.empty(number.size, dtype=np.int64), np.empty(number.size, dtype=np.int64)
     for i in range(number.size):
-        k = at[number[i]]
+        k = at[rank[number[i]]]
         order[k], index[i] = i, k
-        at[number[i]] = k + 1
+        at[rank[number[i]]] = k + 1
     return order, index, sizes
 
 
@@ -277,7 +279,7 @@ def sort_points(
     properties = of_example.kind, of_example.width, of_example.terms, of_example.shared, 2 * own_slope + polynomial
     shape = shapes(of_example.first, fixed.astype(np.int64), *properties)
     order = np.lexsort([np.arange(example.size), group, shape])
-    point_order, point_index, count = counted(read_only(np.argsort(order)[number]), order.size)
+    point_order, point_index, count = counted(read_only(number), np.argsort(order))
     pieces = -(-count // PIECE)
     inside = within(pieces)
     of_order, first = _runs(of_example.first, order)
@@ -338,7 +340,7 @@ class _PatternObservations:
     ) -> None:  # fmt: skip
         with_prior = network.points.kinds[example] == PointKind.CONSTRAINED
         surfaces, of_stereo = on_surface[example] > 0, on_stereo[0][example]
-        counts = [np.diff(begin)[example] for begin, _, _ in (of_rays, of_ranges)]
+        counts = [begin[example + 1] - begin[example] for begin, _, _ in (of_rays, of_ranges)]
         counts += [with_prior, surfaces, of_stereo >= 0]
         each = np.stack([np.asarray(count, dtype=np.int64) for count in counts], axis=1)
         self.first = np.concatenate([[0], np.cumsum(each.sum(axis=1))])

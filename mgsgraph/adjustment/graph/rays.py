@@ -177,9 +177,10 @@ class RayConstants:
         angles, image, (measured, samples) = self._model.angles, self._network.images[j], self._network.rays.places[k].T
         lines, predicted, pixels = terms.lines[k], self._model.line == PREDICTED, self._pixels(j, samples)
         moments = image.moments(lines)
-        pose = image.trajectory.pose(moments.times).scaled(moments.periods).in_axes(self._axes[j])
+        pose = image.trajectory.pose(moments.times).in_axes(self._axes[j])
         form = [pose.position, attitudes(pose, angles), pixels.place]
         if predicted:
+            pose = pose.scaled(moments.periods)
             rates = pose.angular_rate if angles == CAMERA else angle_rates(pose, angles)
             rates = rates + self.effects.turning(j, moments.u, values)
             form += [pose.velocity, rates, (lines - measured)[:, None]]

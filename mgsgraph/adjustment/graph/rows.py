@@ -264,7 +264,7 @@ def _observation_tables(network: Network, model: Model, variables: Variables, pa
 
 def _by_image(images: Index, count: int) -> list[Index]:
     """Rows of each image."""
-    order, _, sizes = counted(images, count)
+    order, _, sizes = counted(images, np.arange(count))
     return np.split(order, np.cumsum(sizes)[:-1])
 
 
