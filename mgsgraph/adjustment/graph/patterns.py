@@ -233,7 +233,7 @@ def counted(number, rank):
     sizes, at = np.zeros(rank.size, dtype=np.int64), np.zeros(rank.size, dtype=np.int64)
     for i in range(number.size):
         sizes[rank[number[i]]] += 1
-    for k in range(1, rank.size):  # `np.cumsum` would load numba's array functions and SciPy with a kernel from the cache
+    for k in range(1, rank.size):  # `np.cumsum` would load SciPy with a kernel from the cache
         at[k] = at[k - 1] + sizes[k - 1]
     order, index = np.empty(number.size, dtype=np.int64), np.empty(number.size, dtype=np.int64)
     for i in range(number.size):
