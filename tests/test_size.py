@@ -34,7 +34,7 @@ CEILINGS = {
     "factors": (853, 13874, 18),
     "single files": (925, 11277, 10),
     "scripts": (7001, 112187, 51),
-    "tests": (39656, 602071, 222),
+    "tests": (39662, 602125, 222),
     "docs": (157, 1791, 4),
 }  # fmt: skip
 """Room: lines of code, nodes, files."""

@@ -1,9 +1,10 @@
 """Long work from the studio: jobs, their end and what they leave; the verdict with its reasons; the first screen."""
 
 import shutil
+import signal
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -138,6 +139,15 @@ def test_a_cancelled_job_leaves_the_project_and_others_wait(folder: Path) -> Non
         assert [change.verb for change in changed.changes()].count("solve") == 2
 
 
+@pytest.fixture
+def hung_up() -> Iterator[None]:
+    """Commands end when their terminal does: not so below nohup, where it is ignored by all that is started."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
+
+
+@pytest.mark.usefixtures("hung_up")
 def test_a_job_ends_with_its_studio(folder: Path) -> None:
     before = files_of(folder)
     with studio(folder) as running:
