@@ -341,8 +341,7 @@ class _PatternObservations:
         with_prior = network.points.kinds[example] == PointKind.CONSTRAINED
         surfaces, of_stereo = on_surface[example] > 0, on_stereo[0][example]
         counts = [begin[example + 1] - begin[example] for begin, _, _ in (of_rays, of_ranges)]
-        counts += [with_prior, surfaces, of_stereo >= 0]
-        each = np.stack([np.asarray(count, dtype=np.int64) for count in counts], axis=1)
+        each = np.stack([*counts, with_prior, surfaces, of_stereo >= 0], axis=1, dtype=np.int64)
         self.first = np.concatenate([[0], np.cumsum(each.sum(axis=1))])
         begin = (np.cumsum(each.ravel()) - each.ravel()).reshape(each.shape)
         size = int(self.first[-1])
