@@ -81,7 +81,7 @@ def one_draw(case: str, seed: int) -> Draw:
     members = [solution.members(kind) for kind in (PointClass.TIE, PointClass.LASER)]
     points = [nees((solution.places - draw.places)[group], solution.covariances[group]) for group in members]
     freedom = solution.fit.degrees_of_freedom
-    names = [*(network.image_names), *network.shift_names, *(u.name for u in network.shared)]
+    names = [*network.image_names, *network.shift_names, *(u.name for u in network.shared)]
     truth = [*(correction.coefficients for correction in draw.own), *draw.shifts, *draw.shared]
     ratio = Posterior.of(solution).likelihood.ratio({names[k]: truth[k] for k in errors if k < passes})
     shared.append(ratio.chi_square / ratio.degrees if ratio.degrees else float("nan"))

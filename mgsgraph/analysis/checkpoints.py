@@ -67,7 +67,7 @@ class Discrepancies(Record):
     @property
     def sigmas(self) -> Array:
         """(n, 3) m, east, north, up."""
-        return np.asarray(sigmas_of(self.covariances))
+        return sigmas_of(self.covariances)
 
     @property
     def normalized(self) -> Array:

@@ -357,13 +357,13 @@ def run_case(task: CaseTask) -> CampaignEntry:
     began, sums = time.perf_counter(), checksums(task.case)
     try:
         outcome = _adjusted(task)
+    except MemoryError:
+        outcome = {"message": "out of memory; give the machine more or leave images out"}
     except Exception as error:  # one case must not end the others
         if is_interrupt(error):
             raise KeyboardInterrupt from error
         unforeseen = f"unforeseen {type(error).__name__}: {error}; `mgsgraph adjust` shows where"
         outcome = {"message": str(error) if isinstance(error, MgsgraphError) else unforeseen}
-        if isinstance(error, MemoryError):
-            outcome = {"message": "out of memory; give the machine more or leave images out"}
     return _ended(task, sums, time.perf_counter() - began, outcome)
 
 

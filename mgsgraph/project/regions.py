@@ -29,6 +29,7 @@ from mgsgraph.files.opening import head_of, read_bytes
 from mgsgraph.files.output.folders import MATCH
 from mgsgraph.files.writing import write_file
 from mgsgraph.geometry.footprint import footprint, overlaps
+from mgsgraph.names import numbered
 from mgsgraph.network.connectivity import groups
 
 _CASE = "case.toml"
@@ -96,7 +97,7 @@ def split_case(case: Path, out: Path) -> Division:
 def _connected(tables: CaseInput, networks: Sequence[ControlNetwork], case: Path) -> list[_Group]:
     """Groups of connected images, each with its profiles and its points; an image that nothing connects is one."""
     profiles, links = _links(tables, networks, case)
-    number = {image.name: j for j, image in enumerate(tables.images)}
+    number = numbered(image.name for image in tables.images)
     pairs = {pair for link in links for pair in pairwise(sorted(number[name] for name in link if name in number))}
     parts = groups(len(number), np.array(sorted(pairs), dtype=np.int64).reshape(-1, 2))
     found = [_Group([tables.images[j] for j in part], [], [[] for _ in networks]) for part in parts]

@@ -15,7 +15,7 @@ from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.compiled import cached_kernel, compiled
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.orientation import SUPPORT, Moments
-from mgsgraph.geometry.records import Array, Index, Mask, read_only
+from mgsgraph.geometry.records import Array, Index, Mask, read_only, repeats
 from mgsgraph.kernel.rows import GROUND, IMAGE, PIECE, RANGE, STEREO, SURFACE, Groups, NormalBlocks, shapes
 from mgsgraph.network import Network
 from mgsgraph.network.effects import common_slopes
@@ -262,7 +262,7 @@ def sort_points(
     on_stereo, sides = _on_stereo(n, stereo)
     common = network.common_variables
     for values in (network.points.kinds, moved, on_surface, on_stereo, *(variable for variable, *_ in footprints)):
-        if values.strides[0]:  # another number for each point
+        if not repeats(values):
             mix_values(signature, read_only(values))
     if network.common:
         mix_rows(signature, of_rays[0], of_rays[1], read_only(common[0]), terms.of_rays, 3)

@@ -86,7 +86,7 @@ class Bundle:
     @property
     def sigmas(self) -> Array:
         """(n, 3) m, standard deviations of the points."""
-        return np.asarray(sigmas_of(self.covariances))
+        return sigmas_of(self.covariances)
 
     def __post_init__(self) -> None:
         n = len(self.network.points)
@@ -130,7 +130,7 @@ class Shared:
     @property
     def sigmas(self) -> Array:
         """(d,) standard deviations, m and rad, for sigma0 = 1."""
-        return np.asarray(sigmas_of(self.covariance))
+        return sigmas_of(self.covariance)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
