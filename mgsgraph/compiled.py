@@ -16,6 +16,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from functools import cache, cached_property, update_wrapper
 from importlib.util import find_spec
+from inspect import signature
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -233,10 +234,11 @@ def _with_cache(function: Callable[..., Any], options: dict[str, Any]) -> Any:
     class Code(CompileResultCacheImpl):
         def reduce(self, data: Any) -> Any:
             """Machine code without the bitcode that it is made from, which would take longer to load: only compiled
-            code that calls a kernel would need it, and none does. What remains says that there is a function.
+            code that takes a kernel in would need it, and none does. What remains says that there are functions.
             """
             (name, kind, (code, _)), *more = super().reduce(data)
-            stub = f'define void @"{data.fndesc.llvm_cpython_wrapper_name}"() {{ ret void }}'
+            names = data.fndesc.llvm_cpython_wrapper_name, data.fndesc.llvm_func_name
+            stub = "\n".join(f'define void @"{name}"() {{ ret void }}' for name in names)
             return (name, kind, (code, ll.parse_assembly(stub).as_bitcode())), *more
 
     class Cache(FunctionCache):
@@ -282,6 +284,22 @@ def _with_cache(function: Callable[..., Any], options: dict[str, Any]) -> Any:
     return kernel
 
 
+def address_of(kernel: Any, arguments: dict[str, Any]) -> Any:
+    """Where a kernel's machine code lies, compiled or loaded for arguments like those of its parameters' names, and for
+    no others from then on, so that other kernels may call it without taking it in; the function itself where nothing
+    is compiled (NUMBA_DISABLE_JIT).
+    """
+    from numba import typeof
+
+    if not hasattr(kernel, "overloads"):
+        return kernel
+    kinds = tuple(typeof(arguments[name]) for name in signature(kernel.py_func).parameters)
+    kernel.compile(kinds)
+    kernel.disable_compile()
+    found = kernel.overloads[kinds]
+    return found.library.get_pointer_to_function(found.fndesc.llvm_func_name)
+
+
 def _take_turn(path: Path) -> int:
     """Wait for a lock, which goes when the file's descriptor, that is returned, is closed, or with the process."""
     try:
@@ -309,7 +327,7 @@ def compile_beside(kernel: Any, statement: str) -> None:
     quiet = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     here = str(Path(__file__).parents[1])  # not the working folder, where there may be another copy of this program
     paths = os.pathsep.join([here, *filter(None, [os.environ.get("PYTHONPATH")])])
-    command, more = [sys.executable, "-P", "-c", statement], {"env": os.environ | {"PYTHONPATH": paths}}
+    command, more = [sys.executable, "-P", "-c", f"import gc; gc.disable(); {statement}"], {"env": os.environ | {"PYTHONPATH": paths}}
     try:
         process = subprocess.Popen(command, **quiet, **more)  # type: ignore[call-overload]
     except OSError:  # no file or process more is allowed: then this one compiles it

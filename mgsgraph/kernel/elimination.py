@@ -48,10 +48,15 @@ from mgsgraph.kernel.lanes import (
     accumulate_one_twice,
     accumulate_two,
     accumulate_two_twice,
+    blocks_of,
+    call,
     inlined,
     lane,
+    pair_of,
+    registers,
     summing,
     transpose_lanes,
+    transposed_of,
 )
 from mgsgraph.kernel.measurements import all_rows, row_count, vector
 from mgsgraph.kernel.rows import GOOD, HUBER, IMAGE, NO_LOSS, PREDICTED, SURFACE, TUKEY, WEAK, Model
@@ -297,8 +302,10 @@ def add_dots(rows, groups, target, segments, count, i, e, a, j, f, begin, w, beg
 
 
 @inlined
-def sum_singles(rows, groups, target, segments, count, i, j, begin, w, s, t, pair, blocks):
+def sum_singles(rows, groups, target, scratch, count, i, j, begin, blocks):
     """Add K_ij of single columns to the blocks: of those of j with all of i, then of those of i with the terms of j."""
+    w, pair, segments = registers(scratch.work), pair_of(scratch.pair), scratch.segments
+    s, t = TILE + (i - begin) * scratch.depth, TILE + (j - begin) * scratch.depth
     width_i, width_j = rows.observation_width[i], rows.observation_width[j]
     terms_i, terms_j = rows.observation_terms[i], rows.observation_terms[j]
     singles_i, singles_j = s + BASIS + 2 * terms_i * LANES, t + BASIS + 2 * terms_j * LANES
@@ -345,10 +352,13 @@ def sum_right(rows, groups, target, segments, count, i, begin, w, s, buffers, gr
 
 
 @inlined
-def eliminate_tile(
-    rows, groups, target, model, segments, count, with_matrix, w, depth, pair, buffers, blocks, gradient
-):
-    """Add a tile's solved points to the gradient and, if `with_matrix`, to the blocks of pairs of variables."""
+def eliminate_tile(rows, groups, target, model, scratch, count, with_matrix, singles, to_blocks, gradient):
+    """Add a tile's solved points to the gradient and, if `with_matrix`, to the blocks of pairs of variables; `singles`
+    is where `sum_singles` lies.
+    """
+    w, depth, segments = registers(scratch.work), scratch.depth, scratch.segments
+    buffers = transposed_of(scratch.transposed), transposed_of(scratch.weights), transposed_of(scratch.sums)
+    pair, blocks = pair_of(scratch.pair), blocks_of(to_blocks)
     couple_all(rows, model, segments, w, depth)
     begin, end = observations_of(rows, segments)
     fixed, tile = rows.pattern_fixed[segments[0, PATTERN]] > 0, (rows, groups, target, segments, count)
@@ -365,8 +375,7 @@ def eliminate_tile(
             if rows.observation_terms[i] * rows.observation_terms[j] > 0:
                 sum_terms(*tile, i, j, begin, w, s, t, pair, buffers, blocks)
             if rows.observation_shared[i] + rows.observation_shared[j] > 0:
-                sum_singles(*tile, i, j, begin, w, s, t, pair, blocks)
-
+                call(singles, (rows, groups, target, i, j, begin, count, scratch, to_blocks))
 
 
 INNER_STEPS = 250
@@ -438,7 +447,7 @@ def largest_step(w):
 
 
 @inlined
-def solve_tile(rows, model, segments, count, x, points, move, everything, tolerance, w, depth, store_rows):
+def solve_tile(rows, model, segments, count, x, points, move, everything, tolerance, w, depth, store_rows, loops):
     """Coordinates of a tile's points of least cost with the orientation held: POINT, COST and STATUS, and rows
     there if `store_rows`.
 
@@ -459,7 +468,7 @@ def solve_tile(rows, model, segments, count, x, points, move, everything, tolera
     slow, steps = robust or on_terrain(rows, segments), 0
     for _ in range(2 * INNER_STEPS):
         now = convex if convexly else model
-        all_rows(rows, now, robust and not plainly, segments, count, x, w, depth, store_rows)
+        all_rows(rows, now, robust and not plainly, segments, count, x, w, depth, store_rows, loops)
         if fixed:
             break
         factorise(w)

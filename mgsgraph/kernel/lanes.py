@@ -62,6 +62,40 @@ lane by lane; what is between two observations' states.
 """
 
 
+@intrinsic
+def place_of(typing: Any, array: Any) -> Any:
+    """Where registers lie."""
+
+    def generate(context: Any, builder: Any, call: Any, arguments: Any) -> Any:
+        return builder.ptrtoint(arguments[0], ir.IntType(64))
+
+    return types.int64(array), generate
+
+
+@intrinsic
+def registers_at(typing: Any, place: Any) -> Any:
+    """Registers that lie there."""
+
+    def generate(context: Any, builder: Any, call: Any, arguments: Any) -> Any:
+        return builder.inttoptr(arguments[0], ir.DoubleType().as_pointer())
+
+    return Registers("tile")(types.int64), generate
+
+
+@intrinsic
+def call(typing: Any, place: Any, arguments: Any) -> Any:
+    """Call what is compiled by itself (`compiled.address_of`) with a tuple of arguments; it returns nothing."""
+    kinds = tuple(types.int64 if isinstance(kind, types.Integer) else kind for kind in map(types.unliteral, arguments))
+
+    def generate(context: Any, builder: Any, call: Any, given: Any) -> Any:
+        function = context.call_conv.get_function_type(types.none, kinds)
+        code, values = builder.inttoptr(given[0], function.as_pointer()), cgutils.unpack_tuple(builder, given[1])
+        context.call_conv.call_function(builder, code, types.none, kinds, values)
+        return context.get_dummy_value()
+
+    return types.none(types.int64, types.Tuple(kinds)), generate
+
+
 @infer_global(operator.getitem)
 class _Load(AbstractTemplate):
     def generic(self, arguments: Any, keywords: Any) -> Any:
@@ -251,6 +285,8 @@ last, times a register, or, twice, times it and the next one; to `sums` from `to
 _config: Any = config
 if _config.DISABLE_JIT:  # plain Python, to look at or to count: arrays are what they are
     registers = blocks_of = transposed_of = pair_of = lambda array: array.reshape(-1)
+    place_of = registers_at = lambda array: array
+    call = lambda function, arguments: function(*arguments)  # noqa: E731
     four = lambda array, index: array[index : index + FOUR].copy()  # noqa: E731
     multiply_add = lambda factor, value, total: factor * value + total  # noqa: E731
 

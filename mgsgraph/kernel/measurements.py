@@ -1,11 +1,16 @@
 """Rows of all measurements of a tile: one loop over lanes around the equations of each (`mgsgraph.factors`).
 
 Each loop reads the registers of the measurement that is worked on and the coordinates of the points, and leaves
-RESIDUAL, BY_POINT and BY_STATE at ROWS, whitened; zero where a row takes no part.
+RESIDUAL, BY_POINT and BY_STATE at ROWS, whitened; zero where a row takes no part. Each is compiled by itself, and only
+where a network has such measurements: the kernel calls it where it lies (`Loops`).
 """
+
+from functools import cache, partial
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from mgsgraph.compiled import address_of, cached_kernel
 from mgsgraph.factors.algebra import add, subtract, transform
 from mgsgraph.factors.collinearity import (
     NEWTON_STEPS,
@@ -65,8 +70,11 @@ from mgsgraph.kernel.lanes import (
     TILE,
     VELOCITY,
     WEIGHT,
+    call,
     inlined,
     lane,
+    place_of,
+    registers_at,
 )
 from mgsgraph.kernel.rows import (
     BEHIND,
@@ -75,12 +83,22 @@ from mgsgraph.kernel.rows import (
     GROUND,
     HUBER,
     IMAGE,
+    MEASURED,
+    NO_LOSS,
     OPK_PAPER,
+    OPK_PEER,
     PREDICTED,
     RANGE,
     STEREO,
+    SURFACE,
+    TUKEY,
+    Model,
+    Rows,
 )
-from mgsgraph.kernel.tile import BEGIN, END, copy_block, correct, observations_of
+from mgsgraph.kernel.tile import copy_block, correct, observations_of
+
+kernel = partial(cached_kernel, fastmath={"contract", "nsz"}, _nrt=False)
+"""Compile a part of the sweep by itself: it makes no array."""
 
 _C = CONSTANTS
 _FIRST_ROW, _SECOND_ROW, _BY_STATE = ROWS + BY_POINT, ROWS + BY_POINT + ROW, ROWS + BY_STATE
@@ -105,11 +123,12 @@ def _image_loop(attitude_of, predicted, interior):
     interior orientation is unknown.
     """
 
-    @lane
-    def loop(w):
+    @kernel
+    def image_loop(place):
         """Rows of an image observation with the pose of LINE_OFFSET; NEWTON_STEP is left how far the predicted line is
-        from there.
+        from there. `place` is that of the registers.
         """
+        w = registers_at(place)
         for l in range(LANES):
             line_offset = w[ROWS + LINE_OFFSET + l] if predicted else 0.0
             velocity = vector(w, _C + VELOCITY, l) if predicted else (0.0, 0.0, 0.0)
@@ -158,31 +177,7 @@ def _image_loop(attitude_of, predicted, interior):
             for r in range(3 * LANES):
                 w[_BY_STATE + row * ROW + r] = -w[_FIRST_ROW + row * ROW + r]
 
-    return loop
-
-
-def _image_loops(attitude_of):
-    """The loop of one attitude: predicted or measured line, and interior orientation unknown or not."""
-    predicted, measured = _image_loop(attitude_of, True, False), _image_loop(attitude_of, False, False)
-    predicted_interior, measured_interior = _image_loop(attitude_of, True, True), _image_loop(attitude_of, False, True)
-
-    @inlined
-    def loops(w, at_predicted, interior):
-        """Rows with the pose of LINE_OFFSET."""
-        if at_predicted:
-            if interior:
-                predicted_interior(w)
-            else:
-                predicted(w)
-        elif interior:
-            measured_interior(w)
-        else:
-            measured(w)
-
-    return loops
-
-
-_about_axes, _opk_paper, _opk_peer = _image_loops(about_axes), _image_loops(opk_paper), _image_loops(opk_peer)
+    return image_loop
 
 
 @lane
@@ -197,27 +192,23 @@ def next_line(w):
 
 
 @inlined
-def image_rows(rows, model, segments, count, i, x, w, s):
+def image_rows(rows, model, segments, count, i, x, w, s, loops):
     """Rows of image observation i: at the predicted line by Newton's method, or at the measured one."""
-    predicted, interior = model.line == PREDICTED, rows.observation_width[i] > 6
+    predicted, loop = model.line == PREDICTED, loops.image_interior if rows.observation_width[i] > 6 else loops.image
     copy_block(w, s, _C, OF_PREDICTED if predicted else OF_MEASURED)
     for l in range(LANES):
         w[ROWS + LINE_OFFSET + l] = 0.0
     for step in range(NEWTON_STEPS if predicted else 1):
         correct(rows, segments, count, i, x, w, s, predicted)
-        if model.angles == CAMERA:
-            _about_axes(w, predicted, interior)
-        elif model.angles == OPK_PAPER:
-            _opk_paper(w, predicted, interior)
-        else:
-            _opk_peer(w, predicted, interior)
+        call(loop, (place_of(w),))
         if predicted and (step == NEWTON_STEPS - 1 or not next_line(w)):
             break
 
 
-@lane
-def range_rows(w):
+@kernel
+def range_rows(place):
     """Row of a range; its state is the instrument's position, and the range bias."""
+    w = registers_at(place)
     for l in range(LANES):
         weight = w[_C + WEIGHT + l] * w[ACTIVE + l]
         used = weight > 0.0
@@ -230,9 +221,10 @@ def range_rows(w):
         w[_BY_STATE + 3 * LANES + l] = -weight
 
 
-@lane
-def ground_rows(w):
+@kernel
+def ground_rows(place):
     """Rows of an a-priori position; its state is the shift."""
+    w = registers_at(place)
     for l in range(LANES):
         used = w[ACTIVE + l] > 0.0
         root = upper_triangle((*vector(w, _C + ROOT, l), *vector(w, _C + ROOT + 3 * LANES, l)))
@@ -244,38 +236,38 @@ def ground_rows(w):
             put(w, _BY_STATE + row * ROW, l, (-of_point[0], -of_point[1], -of_point[2]), used)
 
 
-@inlined
-def surface_rows(rows, segments, count, w):
+@kernel
+def surface_rows(place, terrain_frame, terrain):
     """Row of a height above the terrain model; its state is where the model is."""
-    frame, spline = rows.terrain_frame, rows.terrain
+    w, frame, spline = registers_at(place), terrain_frame, terrain
     first, step, last = (frame[0], frame[1]), (frame[2], frame[3]), (spline.shape[0] - 3, spline.shape[1] - 3)
     for r in range(LANES):
         w[ROWS + RESIDUAL + r] = 0.0
     for r in range(3 * LANES):
         w[_FIRST_ROW + r] = 0.0
-    for k in range(count):
-        for l in range(segments[k, BEGIN], segments[k, END]):
-            weight = w[_C + WEIGHT + l] * w[ACTIVE + l]
-            if weight > 0.0:
-                moved = subtract(vector(w, POINT, l), vector(w, DELTA, l))
-                row, column = post_coordinates(moved, first, step, spline.shape)
-                i, j = min(int(row), last[0]), min(int(column), last[1])
-                around = (
-                    (spline[i - 1, j - 1], spline[i - 1, j], spline[i - 1, j + 1], spline[i - 1, j + 2]),
-                    (spline[i, j - 1], spline[i, j], spline[i, j + 1], spline[i, j + 2]),
-                    (spline[i + 1, j - 1], spline[i + 1, j], spline[i + 1, j + 1], spline[i + 1, j + 2]),
-                    (spline[i + 2, j - 1], spline[i + 2, j], spline[i + 2, j + 1], spline[i + 2, j + 2]),
-                )
-                height, slope = height_above(moved, cubic(column - j, row - i, around), step)
-                w[ROWS + RESIDUAL + l] = weight * height
-                put(w, _FIRST_ROW, l, (weight * slope[0], weight * slope[1], weight * slope[2]), True)
+    for l in range(LANES):
+        weight = w[_C + WEIGHT + l] * w[ACTIVE + l]
+        if weight > 0.0:
+            moved = subtract(vector(w, POINT, l), vector(w, DELTA, l))
+            row, column = post_coordinates(moved, first, step, spline.shape)
+            i, j = min(int(row), last[0]), min(int(column), last[1])
+            around = (
+                (spline[i - 1, j - 1], spline[i - 1, j], spline[i - 1, j + 1], spline[i - 1, j + 2]),
+                (spline[i, j - 1], spline[i, j], spline[i, j + 1], spline[i, j + 2]),
+                (spline[i + 1, j - 1], spline[i + 1, j], spline[i + 1, j + 1], spline[i + 1, j + 2]),
+                (spline[i + 2, j - 1], spline[i + 2, j], spline[i + 2, j + 1], spline[i + 2, j + 2]),
+            )
+            height, slope = height_above(moved, cubic(column - j, row - i, around), step)
+            w[ROWS + RESIDUAL + l] = weight * height
+            put(w, _FIRST_ROW, l, (weight * slope[0], weight * slope[1], weight * slope[2]), True)
     for r in range(3 * LANES):
         w[_BY_STATE + r] = -w[_FIRST_ROW + r]
 
 
-@lane
-def stereo_rows(w):
+@kernel
+def stereo_rows(place):
     """Row of a height above a stereo surface; its state is what both images' corrections add."""
+    w = registers_at(place)
     for l in range(LANES):
         weight = w[_C + WEIGHT + l] * w[ACTIVE + l]
         used, normal = weight > 0.0, vector(w, _C + ROOT, l)
@@ -305,9 +297,10 @@ def sum_squares(count, w):
 def _loss_loop(loss):
     """The loop of one loss, of `factors.loss`."""
 
-    @lane
-    def loop(width, count, components, w):
+    @kernel
+    def loss_loop(place, width, count, components):
         """Add an observation's loss to COST and scale its rows by the root of the loss's weight."""
+        w = registers_at(place)
         for l in range(LANES):
             cost, weight = loss(w[ROWS_SQUARED + l], width)
             w[COST + l] += cost
@@ -317,14 +310,61 @@ def _loss_loop(loss):
                 for l in range(LANES):
                     w[ROWS + RESIDUAL + row * ROW + c * LANES + l] *= w[ROWS_SQUARED + l]
 
-    return loop
+    return loss_loop
 
 
-_huber, _cauchy, _tukey = _loss_loop(huber), _loss_loop(cauchy), _loss_loop(tukey)
+_ATTITUDES = {CAMERA: about_axes, OPK_PAPER: opk_paper, OPK_PEER: opk_peer}
+_IMAGE_LOOPS = {
+    (angles, line, interior): _image_loop(attitude_of, line == PREDICTED, interior)
+    for angles, attitude_of in _ATTITUDES.items()
+    for line in (PREDICTED, MEASURED)
+    for interior in (False, True)
+}
+
+
+_LOSS_LOOPS = {HUBER: _loss_loop(huber), CAUCHY: _loss_loop(cauchy), TUKEY: _loss_loop(tukey)}
+
+
+class Loops(NamedTuple):
+    """Where the loops over lanes lie; 0 for one that no observation needs."""
+
+    image: int
+    image_interior: int
+    """Of rays whose image's interior orientation is unknown."""
+    range: int
+    ground: int
+    surface: int
+    stereo: int
+    huber: int
+    loss: int
+    """Of the model's loss."""
+
+
+def loops_of(rows: Rows, model: Model) -> Loops:
+    """The loops that observations (s,) of rows need, compiled or loaded."""
+    is_image = rows.observation_kind == IMAGE
+    kinds, widths = set(np.unique(rows.observation_kind).tolist()), rows.observation_width[is_image]
+    image, interior = (_IMAGE_LOOPS[model.angles, model.line, interior] for interior in (False, True))
+    used = {
+        image: bool((widths <= 6).any()), interior: bool((widths > 6).any()), range_rows: RANGE in kinds,
+        ground_rows: GROUND in kinds, surface_rows: SURFACE in kinds, stereo_rows: STEREO in kinds,
+    }  # fmt: skip
+    needed = [loop if wanted else None for loop, wanted in used.items()]
+    needed += [_LOSS_LOOPS[HUBER], _LOSS_LOOPS[model.loss]] if model.loss != NO_LOSS else [None, None]
+    return Loops(*(0 if loop is None else place_of_loop(loop) for loop in needed))
+
+
+@cache
+def place_of_loop(loop: Any) -> Any:
+    """Where a loop lies, compiled or loaded."""
+    terrain = np.zeros((0, 0))
+    terrain.flags.writeable = False
+    numbers = {"place": 0, "width": 0.0, "count": 0, "components": 0}
+    return address_of(loop, numbers | {"terrain": terrain, "terrain_frame": np.zeros(0)})
 
 
 @lane
-def add_rows(model, robust, kind, width, w):
+def add_rows(model, robust, kind, width, w, loops):
     """Add an observation's rows to COST, with the loss if `robust`, and to NORMAL (00, 10, 11, 20, 21, 22) and
     GRADIENT.
     """
@@ -333,12 +373,8 @@ def add_rows(model, robust, kind, width, w):
     if not robust:
         for l in range(LANES):
             w[COST + l] += 0.5 * w[ROWS_SQUARED + l]
-    elif model.loss == HUBER:
-        _huber(model.width, count, width, w)
-    elif model.loss == CAUCHY:
-        _cauchy(model.width, count, width, w)
     else:
-        _tukey(model.width, count, width, w)
+        call(loops.huber if model.loss == HUBER else loops.loss, (place_of(w), model.width, count, width))
     for row in range(count):
         p, r = _FIRST_ROW + row * ROW, ROWS + RESIDUAL + row * ROW
         for l in range(LANES):
@@ -355,7 +391,7 @@ def add_rows(model, robust, kind, width, w):
 
 
 @inlined
-def all_rows(rows, model, robust, segments, count, x, w, depth, store_rows):
+def all_rows(rows, model, robust, segments, count, x, w, depth, store_rows, loops):
     """Rows of all observations at POINT, their COST and normal equations; if `store_rows` the rows go to the
     observations' own registers.
     """
@@ -367,20 +403,17 @@ def all_rows(rows, model, robust, segments, count, x, w, depth, store_rows):
     for i in range(begin, end):
         s, kind = TILE + (i - begin) * depth, rows.observation_kind[i]
         if kind == IMAGE:
-            image_rows(rows, model, segments, count, i, x, w, s)
+            image_rows(rows, model, segments, count, i, x, w, s, loops)
         else:
             copy_block(w, s, _C, OF_ANY)
             correct(rows, segments, count, i, x, w, s, False)
-            if kind == RANGE:
-                range_rows(w)
-            elif kind == GROUND:
-                ground_rows(w)
-            elif kind == STEREO:
-                stereo_rows(w)
+            if kind == SURFACE:
+                call(loops.surface, (place_of(w), rows.terrain_frame, rows.terrain))
             else:
-                surface_rows(rows, segments, count, w)
+                loop = loops.range if kind == RANGE else loops.ground if kind == GROUND else loops.stereo
+                call(loop, (place_of(w),))
         measured = kind == IMAGE or kind == RANGE or kind == STEREO
-        add_rows(model, robust and measured, kind, rows.observation_width[i], w)
+        add_rows(model, robust and measured, kind, rows.observation_width[i], w, loops)
         if store_rows:
             unused = STATE_WIDTH - rows.observation_width[i]  # of the last row
             copy_block(w, ROWS, s + RESULT, OF_ROWS[row_count(kind)] - unused * LANES)

@@ -1,14 +1,15 @@
 """The kernel: one sweep over points that solves them, and eliminates them, or states their covariances or residuals;
 and what it leaves at one orientation, a `Reduction` (variable projection; Golub & Pereyra 1973).
 
-Compiled once and cached on disk; it holds no lock, so that threads share a sweep, each with pieces of its own.
+Compiled once and cached on disk, in parts that processes compile side by side; it holds no lock, so that threads share
+a sweep, each with pieces of its own.
 """
 
 import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache
 from itertools import pairwise
 from threading import Lock
 from typing import Any, NamedTuple
@@ -16,9 +17,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.compiled import cached_kernel, compile_beside, threads
+from mgsgraph.compiled import address_of, compile_beside, threads
 from mgsgraph.kernel.covariance import NUMBERS, covariance_tile, reliability_tile
-from mgsgraph.kernel.elimination import PLAIN_TOLERANCE, ROUGH_TOLERANCE, eliminate_tile, move_basis, solve_tile
+from mgsgraph.kernel.elimination import (
+    PLAIN_TOLERANCE,
+    ROUGH_TOLERANCE,
+    eliminate_tile,
+    move_basis,
+    solve_tile,
+    sum_singles,
+)
 from mgsgraph.kernel.lanes import (
     BASIS,
     BETWEEN_STATES,
@@ -36,13 +44,13 @@ from mgsgraph.kernel.lanes import (
     TILE,
     WIDTH,
     blocks_of,
+    call,
     inlined,
     lane,
     pair_of,
     registers,
-    transposed_of,
 )
-from mgsgraph.kernel.measurements import row_count
+from mgsgraph.kernel.measurements import Loops, kernel, loops_of, row_count
 from mgsgraph.kernel.rows import BEHIND, GROUND, IMAGE, NO_LOSS, PREDICTED, Groups, Model, NormalBlocks, Rows, Small
 from mgsgraph.kernel.tile import (
     BEGIN,
@@ -172,25 +180,60 @@ def scratch_for(rows: Rows) -> Scratch:
     return Scratch(np.zeros(size), depth, np.zeros((LANES, 5), dtype=np.int64), *sums, np.zeros(BETWEEN_STATES))
 
 
-@partial(cached_kernel, fastmath={"contract", "nsz"}, _nrt=False)
+@kernel
+def solve_part(rows, model, x, task, tolerance, loops, count, scratch, points):
+    """Solve the points of a tile of `count` segments (`elimination.solve_tile`)."""
+    w, move = registers(scratch.work), task <= SYSTEM
+    solve_tile(
+        rows, model, scratch.segments, count, x, points, move, task == RESIDUALS, tolerance, w, scratch.depth,
+        task != COSTS, loops,
+    )  # fmt: skip
+
+
+@kernel
+def eliminate_part(rows, groups, target, model, task, singles, count, scratch, blocks, gradient):
+    """Eliminate the solved points of a tile (`elimination.eliminate_tile`)."""
+    eliminate_tile(rows, groups, target, model, scratch, count, task == SYSTEM, singles, blocks, gradient)
+
+
+@kernel
+def singles_part(rows, groups, target, i, j, begin, count, scratch, blocks):
+    """What pairs of observations with single columns add to the normal matrix (`elimination.sum_singles`)."""
+    sum_singles(rows, groups, target, scratch, count, i, j, begin, blocks_of(blocks))
+
+
+@kernel
+def covariances_part(rows, groups, target, model, task, count, scratch, joint, values):
+    """COVARIANCES or RELIABILITY of the points of a tile."""
+    w, pair, segments, depth = registers(scratch.work), pair_of(scratch.pair), scratch.segments, scratch.depth
+    if task == COVARIANCES:
+        covariance_tile(rows, groups, target, model, segments, count, joint, w, depth, pair, values)
+    else:
+        reliability_tile(rows, groups, target, model, segments, count, joint, w, depth, pair, values)
+
+
+@kernel
+def residuals_part(rows, groups, target, model, task, count, scratch, joint, values):
+    """RESIDUALS of the points of a tile."""
+    store_residuals(rows, scratch.segments, count, registers(scratch.work), scratch.depth, values[:, :, 0])
+
+
+@kernel
+def design_part(rows, groups, target, model, task, count, scratch, joint, values):
+    """DESIGN of the points of a tile."""
+    design_tile(rows, model, scratch.segments, count, registers(scratch.work), scratch.depth, values)
+
+
+_REPORTS = {
+    COVARIANCES: covariances_part, RELIABILITY: covariances_part, RESIDUALS: residuals_part, DESIGN: design_part
+}  # fmt: skip
+
+
+@kernel
 def sweep(
-    rows,
-    groups,
-    target,
-    model,
-    x,
-    task,
-    tolerance,
-    first_piece,
-    last_piece,
-    scratch,
-    points,
-    states,
-    costs,
-    blocks,
-    gradient,
-    values,
-):
+    rows, groups, target, model, x, task, tolerance, parts, loops, first_piece, last_piece, scratch, points, states,
+    costs, blocks, gradient, values,
+):  # fmt: skip
     """One sweep over the pieces first_piece .. last_piece.
 
     COSTS, GRADIENT and SYSTEM begin at `points` (n, 3) and leave the best ones there, with states (n,) and the cost
@@ -198,42 +241,33 @@ def sweep(
     `blocks`.
     COVARIANCES and RELIABILITY take the covariance of the shared unknowns from `blocks`; `values` are (n, 3, 3)
     covariances, (t, 2, 1) residuals, (t, 3, 7) `reliability.NUMBERS` or (t, 3, c) rows as in `design`.
+    `parts` are where the parts lie that it calls, `loops` those that it solves points with.
     """
-    w, flat, pair = registers(scratch.work), blocks_of(blocks), pair_of(scratch.pair)
-    buffers = transposed_of(scratch.transposed), transposed_of(scratch.weights), transposed_of(scratch.sums)
-    segments, depth = scratch.segments, scratch.depth
+    solve, eliminate, singles, report = parts
+    segments = scratch.segments
     costs[first_piece:last_piece] = 0.0
     piece, first = first_piece, 0
     while piece < last_piece:
         count, piece, first = fill(rows, piece, first, last_piece, segments)
-        solve_tile(
-            rows, model, segments, count, x, points, task <= SYSTEM, task == RESIDUALS, tolerance, w, depth,
-            task != COSTS,
-        )
+        call(solve, (rows, model, x, task, tolerance, loops, count, scratch, points))
         if task <= SYSTEM:
-            store_points(rows, segments, count, w, points, states, costs)
+            store_points(rows, segments, count, registers(scratch.work), points, states, costs)
         if task == GRADIENT or task == SYSTEM:
-            tile = rows, groups, target, model, segments, count
-            eliminate_tile(*tile, task == SYSTEM, w, depth, pair, buffers, flat, gradient)
-        elif task == COVARIANCES:
-            covariance_tile(rows, groups, target, model, segments, count, blocks, w, depth, pair, values)
-        elif task == RESIDUALS:
-            store_residuals(rows, segments, count, w, depth, values[:, :, 0])
-        elif task == RELIABILITY:
-            reliability_tile(rows, groups, target, model, segments, count, blocks, w, depth, pair, values)
-        elif task == DESIGN:
-            design_tile(rows, model, segments, count, w, depth, values)
+            call(eliminate, (rows, groups, target, model, task, singles, count, scratch, blocks, gradient))
+        elif task > SYSTEM:
+            call(report, (rows, groups, target, model, task, count, scratch, blocks, values))
 
 
 def compile_sweep_beside() -> None:
-    """Let another process compile the sweep, if it is not cached, which takes most of a minute."""
-    compile_beside(sweep, f"from {__name__} import compile_sweep; compile_sweep()")
+    """Let other processes compile the parts of the sweep, if they are not cached."""
+    for parts in ((solve_part, sweep, residuals_part, design_part), (eliminate_part, covariances_part)):
+        names = ", ".join(part.__name__ for part in parts)
+        compile_beside(parts[0], f"from {__name__} import place_of_part, {names}; list(map(place_of_part, ({names})))")
 
 
-def compile_sweep() -> None:
-    """Compile the sweep, or load it: for arguments of the types that it always has."""
-    from numba import typeof
-
+@cache
+def place_of_part(part: Any) -> Any:
+    """Where a part of the sweep lies, compiled or loaded for arguments of the types that it always has."""
     kinds = {Small: np.int8, Index: np.int64, Array: np.float64}
     tables = "start", "weight", "piece", "observation_slope", "terrain"
 
@@ -242,12 +276,16 @@ def compile_sweep() -> None:
         of_kind = fields.__annotations__.items()
         return fields(*(0 if kind is int else np.zeros(shapes[name], kinds[kind]) for name, kind in of_kind))
 
-    rows = as_compiled(none_of(Rows))
     scratch = Scratch(np.zeros(0), 0, np.zeros((0, 5), dtype=np.int64), *(np.zeros(0) for _ in range(4)))
-    owns = rows, none_of(Groups), none_of(NormalBlocks), Model(0, 0, 0, 0.0), np.zeros(0)
-    results = np.zeros((0, 3)), np.zeros(0, dtype=np.int8), *(np.zeros(0) for _ in range(3)), np.zeros((0, 0, 0))
-    kernel: Any = sweep
-    kernel.compile(tuple(map(typeof, (*owns, COSTS, PLAIN_TOLERANCE, np.int64(0), np.int64(0), scratch, *results))))
+    arguments = {
+        "rows": as_compiled(none_of(Rows)), "groups": none_of(Groups), "target": none_of(NormalBlocks),
+        "model": Model(0, 0, 0, 0.0), "scratch": scratch, "points": np.zeros((0, 3)), "values": np.zeros((0, 0, 0)),
+        "states": np.zeros(0, dtype=np.int8), "tolerance": PLAIN_TOLERANCE, "parts": (0, 0, 0, 0),
+        "loops": Loops(*len(Loops._fields) * [0]),
+        **dict.fromkeys(("x", "costs", "blocks", "joint", "gradient"), np.zeros(0)),
+        **dict.fromkeys(("task", "count", "first_piece", "last_piece", "singles", "i", "j", "begin"), 0),
+    }  # fmt: skip
+    return address_of(part, arguments)
 
 
 def even_parts(rows: Rows, parts: int) -> Index:
@@ -314,6 +352,11 @@ def sweep_all(
     none = np.empty(0) if joint is None else writable(joint)
     x, points = writable(x), writable(points)
     rows, spare = as_compiled(rows), list[tuple[Array, Array]]()
+    reported, has_singles = _REPORTS.get(task), with_matrix and bool(rows.observation_shared.any())
+    place_of_part(sweep)
+    used = (solve_part, True), (eliminate_part, with_gradient), (singles_part, has_singles), (reported, reported)
+    loops = loops_of(rows, model)  # first: other processes may be compiling the parts
+    code = tuple(place_of_part(part) if called else 0 for part, called in used), loops
 
     def zeros() -> tuple[Array, Array]:
         """Room for sums, of a part that has been added: memory that is touched for the first time costs more."""
@@ -332,7 +375,7 @@ def sweep_all(
         for k in left:
             sums = zeros()
             results = (scratch, points, states, costs, sums[0] if with_matrix else none, sums[1], values)
-            sweep(rows, groups, target, model, x, task, tolerance, edges[k], edges[k + 1], *results)
+            sweep(rows, groups, target, model, x, task, tolerance, *code, int(edges[k]), int(edges[k + 1]), *results)
             with lock:
                 waiting[k] = sums
                 while added in waiting:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from numba import int64
 from networks import network, pair, with_shift_and_surface
 
 from mgsgraph.adjustment import batch
@@ -22,7 +23,7 @@ from mgsgraph.adjustment.batch import (
 )
 from mgsgraph.adjustment.graph import BundleGraph, lay_out
 from mgsgraph.adjustment.settings import Iteration, SolverSettings
-from mgsgraph.kernel.sweep import COSTS, GRADIENT, compile_sweep, sweep
+from mgsgraph.kernel.sweep import COSTS, GRADIENT, place_of_part, sweep
 
 
 @dataclass
@@ -221,11 +222,9 @@ def test_a_saddle_is_not_taken_for_the_minimum() -> None:
 
 def test_the_kernel_is_compiled_for_one_signature() -> None:
     """Beforehand, and with terrain or none, held images, blunder passes, a whole width, arrays that are read-only or
-    in another order: another signature, another minute.
+    in another order: it is compiled for no other signature, with which it would call its parts wrongly.
     """
-    compile_sweep()
-    before = len(sweep.signatures)
-    assert before <= 1
+    place_of_part(sweep)
     for net in (network(pair()), with_shift_and_surface(network(pair())), network(pair(), (True, False))):
         adjust_network(net, SolverSettings(reject=6.0, loss="cauchy", loss_width=2))
         layout = lay_out(net, SolverSettings())
@@ -235,3 +234,5 @@ def test_the_kernel_is_compiled_for_one_signature() -> None:
         turned = layout.rows._replace(weight=np.asfortranarray(layout.rows.weight))
         BundleGraph(replace(layout, rows=turned)).reduction(still)
     assert len(sweep.signatures) == 1
+    with pytest.raises(RuntimeError):
+        sweep.compile((int64,))
