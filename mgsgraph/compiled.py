@@ -327,9 +327,10 @@ def compile_beside(kernel: Any, statement: str) -> None:
     quiet = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     here = str(Path(__file__).parents[1])  # not the working folder, where there may be another copy of this program
     paths = os.pathsep.join([here, *filter(None, [os.environ.get("PYTHONPATH")])])
-    command, more = [sys.executable, "-P", "-c", f"import gc; gc.disable(); {statement}"], {"env": os.environ | {"PYTHONPATH": paths}}
-    try:
-        process = subprocess.Popen(command, **quiet, **more)  # type: ignore[call-overload]
+    more = quiet | {"env": os.environ | {"PYTHONPATH": paths}}
+    try:  # what numba makes lives as long as the process: there is nothing to collect
+        command = [sys.executable, "-P", "-c", f"import gc; gc.disable(); {statement}"]
+        process = subprocess.Popen(command, **more)  # type: ignore[call-overload]
     except OSError:  # no file or process more is allowed: then this one compiles it
         return
 

@@ -25,6 +25,9 @@ so that they do not share places of the first-level cache.
 """
 
 
+_intrinsic: Any = intrinsic
+
+
 class Registers(types.Type):
     """Numba's type of an array of float64 that is indexed as it stands.
 
@@ -52,7 +55,7 @@ def _view(kind: Registers) -> Any:
 
         return kind(array), generate
 
-    return intrinsic(made)
+    return _intrinsic(made)
 
 
 _APART = ("tile", "blocks", "transposed", "pair")
@@ -62,7 +65,7 @@ lane by lane; what is between two observations' states.
 """
 
 
-@intrinsic
+@_intrinsic
 def place_of(typing: Any, array: Any) -> Any:
     """Where registers lie."""
 
@@ -72,7 +75,7 @@ def place_of(typing: Any, array: Any) -> Any:
     return types.int64(array), generate
 
 
-@intrinsic
+@_intrinsic
 def registers_at(typing: Any, place: Any) -> Any:
     """Registers that lie there."""
 
@@ -82,7 +85,7 @@ def registers_at(typing: Any, place: Any) -> Any:
     return Registers("tile")(types.int64), generate
 
 
-@intrinsic
+@_intrinsic
 def call(typing: Any, place: Any, arguments: Any) -> Any:
     """Call what is compiled by itself (`compiled.address_of`) with a tuple of arguments; it returns nothing."""
     kinds = tuple(types.int64 if isinstance(kind, types.Integer) else kind for kind in map(types.unliteral, arguments))
@@ -135,9 +138,6 @@ def _store(context: Any, builder: Any, call: Any, arguments: Any) -> Any:
 
 FOUR = 4
 """What is summed over lanes is kept lane by lane, in fours that the processor takes at once."""
-
-
-_intrinsic: Any = intrinsic
 
 
 class Four(types.Type):

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from numba import int64
 from networks import network, pair, with_shift_and_surface
+from numba import int64
 
 from mgsgraph.adjustment import batch
 from mgsgraph.adjustment.adjust import adjust_network
