@@ -380,10 +380,10 @@ class JointCovariance(Record):
 
     @cached_property
     def _stored(self) -> tuple[Index, Index, Index]:
-        """(m,) codes, in order, of the blocks in store (of a clique's frontal variables with all of its own), where the
+        """(m + 1,) codes, in order, of the blocks in store (of a clique's frontal variables with all of its own), where the
         first number of each lies in `blocks`, and from row to row.
 
-        A code is the first variable times the number of variables, plus the second.
+        A code is the first variable times the number of variables, plus the second; behind them one of no pair.
         """
         root = self.square_root
         clique = root.clique_of_member[root.frontal_members]
@@ -393,14 +393,14 @@ class JointCovariance(Record):
         stride = np.repeat(root.shapes[1][clique], count)
         start = np.repeat(root.offset[clique], count) + root.inner_column[row] * stride + root.inner_column[column]
         code = root.members[row] * root.width.size + root.members[column]
-        order = np.argsort(code)
-        return code[order], start[order], stride[order]
+        order, last = np.argsort(code), np.iinfo(np.int64).max
+        return np.append(code[order], last), np.append(start[order], -1), np.append(stride[order], -1)
 
     def _find(self, first: Index, second: Index) -> Index:
         """(m,) place of each pair among those in store; -1 for one that isn't there in this order."""
         code, wanted = self._stored[0], first * self.square_root.width.size + second
         place = np.searchsorted(code, wanted)
-        return np.where(np.append(code, -1)[place] == wanted, place, -1)
+        return np.where(code[place] == wanted, place, -1)
 
     def _fill(self, first: Index, second: Index, at: Index, across: Index, result: Array) -> None:
         """Put blocks of pairs (m,) of variables at places `at` of a flat array, `across` numbers from row to row."""

@@ -11,6 +11,7 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
 from functools import cache
+from itertools import chain
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -20,6 +21,7 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.case.passes import mounted_images
 from mgsgraph.case.resection import resected_images
 from mgsgraph.case.schema import CaseInput, ImageInput, OrientationInput, SolverInput, SpiceInput
+from mgsgraph.compiled import in_threads, shares
 from mgsgraph.errors import InputError, command_line, errors_from, require
 from mgsgraph.files.decoding import CASE_FILE, read_toml, validated
 from mgsgraph.files.kinds import ImageKind, Kind, image_kind, image_name, kind_of, listed_names, refuse_foreign_kinds
@@ -30,7 +32,10 @@ from mgsgraph.files.support_data.isd import read_isd
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.plausibility import require_distinct, require_plausible
 from mgsgraph.record import meanings
+from mgsgraph.workers import read_apart
 
+_WORTHWHILE = 100
+"""Files of images for which a fork saves more than it costs."""
 _FILES: tuple[ImageKind, ...] = ("isd", "state", "label", "cube")
 _OF_KINDS: dict[str, tuple[ImageKind, ...]] = {
     "kernels": ("label",), "constants": ("label",), "focal_length_m": ("label",), "attitude_bias_s": ("label",),
@@ -197,9 +202,19 @@ def image_of(tables: CaseInput, number: int, path: Path) -> PushbroomImage:
 
 
 def _with_files(tables: CaseInput, done: Collection[int], path: Path) -> dict[int, PushbroomImage]:
-    """Images whose orbit files say, by their numbers, but for those that are done."""
+    """Images whose orbit files say, by their numbers, but for those that are done. Many are read in several forks, as
+    reading keeps the interpreter busy.
+    """
     numbers = [j for j, entry in enumerate(tables.images) if j not in done and entry.resection is None]
-    return {j: image_of(tables, j, path) for j in numbers}
+
+    def read(part: slice) -> list[PushbroomImage]:
+        return [image_of(tables, j, path) for j in numbers[part]]
+
+    if len(numbers) < 2 * _WORTHWHILE:
+        return dict(zip(numbers, read(slice(None)), strict=True))
+    words, parts = (str(path), "files of images", "look for the file by `mgsgraph check`"), shares(len(numbers))
+    found = in_threads(lambda part: read_apart(lambda: read(part), *words, litters=False), parts)
+    return dict(zip(numbers, chain.from_iterable(found), strict=True))
 
 
 def instruments(tables: CaseInput, path: Path) -> list[str]:

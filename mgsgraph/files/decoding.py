@@ -6,6 +6,7 @@ import tomllib
 import typing
 from collections.abc import Iterator, Sequence
 from difflib import get_close_matches
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, TypeVar
 
@@ -160,7 +161,7 @@ def _refusal(
     if key:
         if key[1] == "missing required":
             return InputError(where, f"no key {key[2]!r}", remedy=remedy)
-        keys = [field.encode_name for part in _kinds_at(kind, steps) if _is_record(part) for field in _fields(part)]
+        keys = [field.encode_name for part in _kinds_at(kind, steps) if _is_record(part) for field in fields_of(part)]
         close = get_close_matches(key[2], keys, n=1, cutoff=_LIKENESS)
         expected = f"did you mean {close[0]!r}?" if close else f"known keys are {', '.join(keys)}"
         if homes := sorted(set(_homes(kind, key[2]))):
@@ -194,7 +195,7 @@ def _value_at(table: Any, steps: list[tuple[str, str]]) -> tuple[Any, str]:
 def _homes(kind: Any, key: str, path: str = "") -> Iterator[str]:
     """Tables below a type that have a key."""
     if _is_record(kind):
-        for field in _fields(kind):
+        for field in fields_of(kind):
             if field.encode_name == key:
                 yield path
             yield from _homes(field.type, key, f"{path}.{field.encode_name}".lstrip("."))
@@ -207,7 +208,9 @@ def _is_record(kind: Any) -> bool:
     return isinstance(kind, type) and issubclass(kind, msgspec.Struct)
 
 
-def _fields(kind: Any) -> tuple[msgspec.structs.FieldInfo, ...]:
+@cache
+def fields_of(kind: Any) -> tuple[msgspec.structs.FieldInfo, ...]:
+    """Fields of a record."""
     return msgspec.structs.fields(kind)
 
 
@@ -215,7 +218,7 @@ def _kinds_at(kind: Any, steps: list[tuple[str, str]]) -> list[Any]:
     """Records and choices that may stand at a place below a type."""
     names = [name for name, _ in steps if name]
     if _is_record(kind):
-        inner = {field.encode_name: field.type for field in _fields(kind)}
+        inner = {field.encode_name: field.type for field in fields_of(kind)}
         return _kinds_at(inner.get(names[0]), [(name, "") for name in names[1:]]) if names else [kind]
     if typing.get_origin(kind) is typing.Literal:
         return [] if names else [kind]

@@ -9,6 +9,7 @@ import re
 import tomllib
 from collections.abc import Iterable, Mapping
 from enum import StrEnum
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -74,12 +75,23 @@ def _of(name: str, keys: Iterable[Key]) -> Key | None:
 
 def unread(names: Iterable[str], keys: Iterable[Key]) -> list[str]:
     """Names that look geometric and are not in a format's table."""
-    table = tuple(keys)
-    return [
+    return [*_unread(tuple(names), tuple(keys))]
+
+
+@lru_cache  # files of one camera have the same names
+def _unread(names: tuple[str, ...], table: tuple[Key, ...]) -> tuple[str, ...]:
+    return tuple(
         name for name in names
         if _GEOMETRIC.search(name.upper()) and not _OTHERS.fullmatch(name.upper()) and _of(name, table) is None
         and not any(re.fullmatch(pattern, name.upper()) for pattern in _NO_MATTER)
-    ]  # fmt: skip
+    )  # fmt: skip
+
+
+@lru_cache
+def _refused(names: tuple[str, ...], keys: tuple[Key, ...]) -> tuple[tuple[str, Key], ...]:
+    """Names of keys that are refused with values other than the usual ones."""
+    refused = [key for key in keys if key.use == Use.REFUSED]
+    return tuple((name, key) for name in names if (key := _of(name, refused)) is not None)
 
 
 def all_blocks(root: Block) -> list[Block]:
@@ -103,21 +115,20 @@ def require_once(root: Block, keys: Iterable[Key]) -> None:
                 raise InputError(block.where(name), repr(value)[:60], f"{before}, as {other.where(name)} says")
 
 
-def require_usual(values: Mapping[str, str], keys: Iterable[Key], where: str) -> None:
+def require_usual(values: Mapping[str, object], keys: Iterable[Key], where: str) -> None:
     """Raise InputError for a key with a value by which the file means something else than is read here.
 
     Parameters
     ----------
     values : mapping
-        Text by name.
+        Text, or what has one, by name.
     keys : iterable of Key
         The format's table.
     where : str
         The file, for messages.
     """
-    refused = [key for key in keys if key.use == Use.REFUSED]
-    for name, value in values.items():
-        key = _of(name, refused)
-        if key is not None and not re.fullmatch(f"(?:{key.usual})", value.strip().strip("\"'").upper()):
+    for name, key in _refused(tuple(values), tuple(keys)):
+        value = str(values[name])
+        if not re.fullmatch(f"(?:{key.usual})", value.strip().strip("\"'").upper()):
             remedy = f"convert the file first ({key.meaning})"
             raise InputError(f"{where}, {name}", repr(value)[:60], key.same_as, remedy)

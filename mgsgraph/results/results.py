@@ -256,14 +256,14 @@ def write_into(
     networks: Sequence[Path] = (), tables: TableForm | None = None,
 ) -> list[str]:  # fmt: skip
     """Write tables, archive and figures into a folder that exists; returns the names of the files."""
-    connected = solution_connectivity(solution)
-    sections = solution_sections(solution, connected)
-    inputs: dict[str, Any] = {} if case is None else {"case": str(Path(case).resolve())}
-    files = [{"path": str(path.resolve()), "sha256": sha256_of(path)} for path in networks if path.is_file()]
-    inputs |= {"networks": files} if files else {}
-    write_json(folder / RECORD, solution_json(solution, connected, sections) | inputs)
-    with ThreadPoolExecutor(1) as beside:  # to compress and write large files leaves the interpreter to the figures
+    with ThreadPoolExecutor(1) as beside:  # to compress and write large files leaves the interpreter to all else
         large = beside.submit(_write_large_files, solution, folder, tables)
+        connected = solution_connectivity(solution)
+        sections = solution_sections(solution, connected)
+        inputs: dict[str, Any] = {} if case is None else {"case": str(Path(case).resolve())}
+        files = [{"path": str(path.resolve()), "sha256": sha256_of(path)} for path in networks if path.is_file()]
+        inputs |= {"networks": files} if files else {}
+        write_json(folder / RECORD, solution_json(solution, connected, sections) | inputs)
         orientation_table(solution).write_csv(folder / "orientation.csv")
         connectivity_table(connected).write_csv(folder / "connectivity.csv")
         names = [name for section in sections for name in section.write(folder, figures=False)]

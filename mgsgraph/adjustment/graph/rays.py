@@ -28,6 +28,8 @@ from mgsgraph.network.effects import SharedEffects, common_looks
 
 _SHARE = 1 << 16
 """Rays that a thread takes at a time."""
+_WORTHWHILE = 2_000
+"""Rays of an image below which threads wait longer for the interpreter than they save."""
 _BLOCK = 1024
 """Rays whose components are stored at a time."""
 _Rays = NDArray[np.int32]
@@ -111,13 +113,17 @@ class RayConstants:
         )
 
     def _each(self, work: Callable[[int, _Rays], None]) -> None:
-        """Call a function for each image and some of its rays, in threads."""
+        """Call a function for each image and some of its rays, in threads where these are many."""
         of_images = (
             (j, self._by_image[at : min(at + _SHARE, last)])
             for j, (first, last) in enumerate(pairwise(self._ends))
             for at in range(first, last, _SHARE)
         )
-        in_threads(lambda one: work(*one), of_images)
+        if self._by_image.size < _WORTHWHILE * len(self._ends):
+            for one in of_images:
+                work(*one)
+        else:
+            in_threads(lambda one: work(*one), of_images)
 
     def renewable(self, terms: Terms) -> bool:
         """Whether rays about other lines depend on the same nodes as those that were laid out."""

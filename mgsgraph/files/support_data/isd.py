@@ -21,7 +21,7 @@ from mgsgraph.errors import InputError, errors_from, require
 from mgsgraph.files.cameras.camera import NaifKeywords
 from mgsgraph.files.cameras.line_scanners import ATTITUDE_BIAS, CORRECTIONS, MI, PITCH, corrected, themis_of_line
 from mgsgraph.files.cameras.other_sensors import model_words
-from mgsgraph.files.decoding import validated
+from mgsgraph.files.decoding import fields_of, validated
 from mgsgraph.files.geometric_keys import SUPPORT_DATA, require_usual, unread
 from mgsgraph.files.labels.aberration import (
     Aberration,
@@ -95,7 +95,7 @@ def read_isd(path: Path, name: str, aberration: Aberration | None = None) -> Pus
         not is_cube_json(content), source, "the tables of an ISIS cube, without its camera", "support data of an image",
         "name it as image = ..., with the cube's label beside it",
     )  # fmt: skip
-    require_usual({key: str(value) for key, value in content.items()}, SUPPORT_DATA, source)
+    require_usual(content, SUPPORT_DATA, source)
     support = validated(content, SupportData, source)
     _require_no_slips(content, SupportData, source)
     keywords, remarks = keywords_of_camera(support, source)
@@ -183,7 +183,7 @@ def _trajectory(
 
 def _require_no_slips(table: dict[str, Any], kind: type[msgspec.Struct], where: str) -> None:
     """Raise InputError for a misspelled key, in whose place a default would be taken."""
-    fields = {field.encode_name: field.type for field in msgspec.structs.fields(kind)}
+    fields = {field.encode_name: field.type for field in fields_of(kind)}
     missing = [name for name in fields if name not in table]
     for key, value in table.items():
         if key not in fields and (close := get_close_matches(key, missing, n=1, cutoff=_LIKENESS)):

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.artist import Artist
+from matplotlib.collections import PolyCollection
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from mgsgraph.adjustment.solution import OrientationProfile, Solution, orientation_profile
+from mgsgraph.adjustment.solution import OrientationProfile, Solution, orientation_profiles
 from mgsgraph.analysis.statistics import node_times, pass_corrections
 from mgsgraph.geometry.records import Array
 from mgsgraph.results.figures.sheet import AFTER, INK, SOFT, Sheet, new_sheet, number, plain_style
@@ -58,18 +59,18 @@ def orientation_sheets(solution: Solution) -> Iterator[Sheet]:
     if outside_passes:
         held = int(np.count_nonzero(network.held[outside_passes]))
         heading = f"{many(len(outside_passes), 'image')}{f', of which {held} are held at nominal' if held else ''}"
-        curves = [image_curve(solution, j, len(outside_passes)) for j in outside_passes]
+        curves = image_curves(solution, outside_passes)
         yield _curves_sheet("orientation", curves, _IMAGES, heading, "images, each from its first line to its last")
 
 
-def image_curve(solution: Solution, image: int, curves: int = 1) -> Curve:
-    """Position along the body-fixed axes in m, rotations about the camera's own axes in arcsec."""
-    places = max(_PLACES // curves, _FEWEST)
-    values, sigmas = components(orientation_profile(solution, image, places))
-    return Curve(
-        solution.network.images[image].name, np.linspace(0.0, 1.0, places), values, sigmas,
-        np.zeros(0), np.zeros((0, 6)),
-    )  # fmt: skip
+def image_curves(solution: Solution, images: Sequence[int]) -> list[Curve]:
+    """Positions along the body-fixed axes in m, rotations about the cameras' own axes in arcsec."""
+    places, names = max(_PLACES // len(images), _FEWEST), solution.network.image_names
+    found = (np.split(part, len(images)) for part in components(orientation_profiles(solution, images, places)))
+    return [
+        Curve(names[j], np.linspace(0.0, 1.0, places), values, sigmas, np.zeros(0), np.zeros((0, 6)))
+        for j, values, sigmas in zip(images, *found, strict=True)
+    ]
 
 
 def pass_curve(solution: Solution, number: int, curves: int = 1) -> Curve:
@@ -94,16 +95,29 @@ def components(profile: OrientationProfile) -> tuple[Array, Array]:
     )
 
 
+def _across(k: int, shares: Array) -> Array:
+    """Where places of the k-th curve lie on the horizontal axis."""
+    return k + 0.02 + 0.96 * shares
+
+
+def _band(curve: Curve, k: int, panel: int) -> Array:
+    """Outline (2 n, 2) of the 1-sigma band of the k-th curve in a panel: matplotlib's `fill_between` takes long over
+    thousands of them.
+    """
+    at, value, sigma = _across(k, curve.shares), curve.values[:, panel], curve.sigmas[:, panel]
+    return np.array([np.append(at, at[::-1]), np.append(value - sigma, (value + sigma)[::-1])]).T
+
+
 @plain_style()
 def _curves_sheet(name: str, curves: Sequence[Curve], rows: Sequence[str], heading: str, across: str) -> Sheet:
     """Six panels; each curve takes one unit of the horizontal axis."""
     count, gap = len(curves), [np.nan]  # no line from one curve to the next
-    positions = np.concatenate([np.append(k + 0.02 + 0.96 * curve.shares, gap) for k, curve in enumerate(curves)])
+    positions = np.concatenate([np.append(_across(k, curve.shares), gap) for k, curve in enumerate(curves)])
     values, sigmas = (
         np.concatenate([np.vstack([getattr(curve, part), np.full((1, 6), np.nan)]) for curve in curves])
         for part in ("values", "sigmas")
     )
-    node_positions = np.concatenate([k + 0.02 + 0.96 * curve.node_shares for k, curve in enumerate(curves)])
+    node_positions = np.concatenate([_across(k, curve.node_shares) for k, curve in enumerate(curves)])
     node_values = np.concatenate([curve.node_values for curve in curves])
     sheet = new_sheet(
         name, 11.0 if count > 4 or node_positions.size else 7.2, 8.4, "Corrections of the exterior orientation",
@@ -113,7 +127,8 @@ def _curves_sheet(name: str, curves: Sequence[Curve], rows: Sequence[str], headi
     for n, panel in enumerate(grid):
         value, sigma = values[:, n], sigmas[:, n]
         panel.axhline(0.0, color=SOFT, lw=0.8, zorder=1)
-        panel.fill_between(positions, value - sigma, value + sigma, color=AFTER, alpha=0.22, lw=0.0)
+        bands = [_band(curve, k, n) for k, curve in enumerate(curves)]
+        panel.add_collection(PolyCollection(bands, color=AFTER, alpha=0.22, lw=0.0))
         panel.plot(positions, value, color=AFTER)
         panel.plot(node_positions, node_values[:, n], color=INK, ls="", marker="o", ms=_MARK if node_positions.size < 60
                    else 0.5 * _MARK)
