@@ -1,5 +1,6 @@
-"""A function called in a fork of this process, where a library may end with a damaged file, or several at once: nothing
-is sent to it, and only what it returns comes back. And what a longer job is doing: progress callbacks, and wall time by stages.
+"""A function called in a fork of this process, where a library may end with a damaged file, or for several at once:
+nothing is sent to it, and only what it returns comes back. And what a longer job is doing: progress callbacks, and wall
+time by stages.
 """
 
 import faulthandler

@@ -380,8 +380,8 @@ class JointCovariance(Record):
 
     @cached_property
     def _stored(self) -> tuple[Index, Index, Index]:
-        """(m + 1,) codes, in order, of the blocks in store (of a clique's frontal variables with all of its own), where the
-        first number of each lies in `blocks`, and from row to row.
+        """(m + 1,) codes, in order, of the blocks in store (of a clique's frontal variables with all of its own), where
+        the first number of each lies in `blocks`, and from row to row.
 
         A code is the first variable times the number of variables, plus the second; behind them one of no pair.
         """

@@ -21,7 +21,7 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.case.passes import mounted_images
 from mgsgraph.case.resection import resected_images
 from mgsgraph.case.schema import CaseInput, ImageInput, OrientationInput, SolverInput, SpiceInput
-from mgsgraph.compiled import in_threads, shares
+from mgsgraph.compiled import in_threads
 from mgsgraph.errors import InputError, command_line, errors_from, require
 from mgsgraph.files.decoding import CASE_FILE, read_toml, validated
 from mgsgraph.files.kinds import ImageKind, Kind, image_kind, image_name, kind_of, listed_names, refuse_foreign_kinds
@@ -34,8 +34,8 @@ from mgsgraph.geometry.plausibility import require_distinct, require_plausible
 from mgsgraph.record import meanings
 from mgsgraph.workers import read_apart
 
-_WORTHWHILE = 100
-"""Files of images for which a fork saves more than it costs."""
+_TOGETHER = 250
+"""Files of images that a fork reads."""
 _FILES: tuple[ImageKind, ...] = ("isd", "state", "label", "cube")
 _OF_KINDS: dict[str, tuple[ImageKind, ...]] = {
     "kernels": ("label",), "constants": ("label",), "focal_length_m": ("label",), "attitude_bias_s": ("label",),
@@ -210,9 +210,10 @@ def _with_files(tables: CaseInput, done: Collection[int], path: Path) -> dict[in
     def read(part: slice) -> list[PushbroomImage]:
         return [image_of(tables, j, path) for j in numbers[part]]
 
-    if len(numbers) < 2 * _WORTHWHILE:
+    if len(numbers) <= _TOGETHER:
         return dict(zip(numbers, read(slice(None)), strict=True))
-    words, parts = (str(path), "files of images", "look for the file by `mgsgraph check`"), shares(len(numbers))
+    words = str(path), "files of images", "look for the file by `mgsgraph check`"
+    parts = [slice(first, first + _TOGETHER) for first in range(0, len(numbers), _TOGETHER)]
     found = in_threads(lambda part: read_apart(lambda: read(part), *words, litters=False), parts)
     return dict(zip(numbers, chain.from_iterable(found), strict=True))
 
