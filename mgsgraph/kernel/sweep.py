@@ -307,8 +307,8 @@ if hasattr(os, "register_at_fork"):
 
 
 def as_compiled(rows: Rows) -> Rows:
-    """The rows as the kernel is compiled for, which takes most of a minute: a terrain model that is read-only, as the
-    network's is, and weights in C order.
+    """The rows as the kernel is compiled for: a terrain model that is read-only, as the network's is, and weights in C
+    order.
     """
     terrain = rows.terrain.view()
     terrain.flags.writeable = False
@@ -317,7 +317,7 @@ def as_compiled(rows: Rows) -> Rows:
 
 def writable(values: NDArray[Any]) -> NDArray[Any]:
     """The array itself, or a copy of one that is read-only (as what comes over a wire may be), strided or not aligned:
-    to the kernel that would be another type, compiled anew.
+    to the kernel that would be another type.
     """
     return np.require(values, requirements=("C", "A", "W"))
 
