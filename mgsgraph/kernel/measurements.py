@@ -320,8 +320,6 @@ _IMAGE_LOOPS = {
     for line in (PREDICTED, MEASURED)
     for interior in (False, True)
 }
-
-
 _LOSS_LOOPS = {HUBER: _loss_loop(huber), CAUCHY: _loss_loop(cauchy), TUKEY: _loss_loop(tukey)}
 
 

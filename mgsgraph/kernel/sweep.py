@@ -32,15 +32,11 @@ from mgsgraph.kernel.lanes import (
     BETWEEN_STATES,
     BY_POINT,
     BY_STATE,
-    COST,
-    FRONT,
     LANES,
     MOST_SUMS,
-    POINT,
     RESIDUAL,
     RESULT,
     ROW,
-    STATUS,
     TILE,
     WIDTH,
     blocks_of,
@@ -51,16 +47,16 @@ from mgsgraph.kernel.lanes import (
     registers,
 )
 from mgsgraph.kernel.measurements import Loops, kernel, loops_of, row_count
-from mgsgraph.kernel.rows import BEHIND, GROUND, IMAGE, NO_LOSS, PREDICTED, Groups, Model, NormalBlocks, Rows, Small
+from mgsgraph.kernel.rows import NO_LOSS, PREDICTED, Groups, Model, NormalBlocks, Rows, Small
 from mgsgraph.kernel.tile import (
     BEGIN,
     END,
-    PIECE_OF,
     fill,
     observation_index,
     observations_of,
-    point_of,
     pose_components,
+    store_points,
+    store_residuals,
     workspace,
 )
 
@@ -82,39 +78,6 @@ _MOST_PARTS = 16
 """Parts of a sweep, each summed by itself."""
 _PER_SUM = 4
 """Numbers in the sums of all parts for each observation: with more, adding them takes longer than parts save."""
-
-
-@inlined
-def store_points(rows, segments, count, w, points, states, costs):
-    """Places (n, 3) and states (n,) of a tile; its costs are added to those of its pieces, infinite where a point is
-    behind a camera.
-    """
-    for k in range(count):
-        point, cost = point_of(rows, segments, k), 0.0
-        for l in range(segments[k, BEGIN], segments[k, END]):
-            for j in range(3):
-                points[point + l, j] = w[POINT + j * LANES + l]
-            states[point + l] = w[STATUS + l]
-            cost += np.inf if w[STATUS + l] == BEHIND else w[COST + l]
-        costs[segments[k, PIECE_OF]] += cost
-
-
-@lane
-def store_residuals(rows, segments, count, w, depth, values):
-    """Residuals (t, 2) of a tile's observations, measured minus predicted: of an image ray in pixels, of a range in m,
-    of a surface row its height in m; NaN for a ray whose point is behind the camera.
-    """
-    begin, end = observations_of(rows, segments)
-    for i in range(begin, end):
-        s, kind = TILE + (i - begin) * depth, rows.observation_kind[i]
-        for k in range(count):
-            at = observation_index(rows, segments, k, i - begin)
-            for row in range(2 if kind == IMAGE else 0 if kind == GROUND else 1):
-                for l in range(segments[k, BEGIN], segments[k, END]):
-                    value = w[s + RESULT + RESIDUAL + row * ROW + l] / rows.weight[row, at + l]
-                    if kind == IMAGE and w[s + RESULT + FRONT + l] == 0.0:
-                        value = np.nan
-                    values[at + l, row] = value
 
 
 @lane

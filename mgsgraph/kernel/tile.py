@@ -11,10 +11,12 @@ from mgsgraph.kernel.lanes import (
     ACTIVE,
     ANGULAR_RATE,
     BASIS,
+    COST,
     DELTA,
     DETECTOR,
     DISTANCE,
     FOCAL,
+    FRONT,
     HALF,
     LANES,
     LINE_OFFSET,
@@ -23,7 +25,10 @@ from mgsgraph.kernel.lanes import (
     POSITION,
     RATE,
     REFERENCE_OFFSET,
+    RESIDUAL,
+    RESULT,
     ROOT,
+    ROW,
     ROWS,
     SCALE,
     SLOPE,
@@ -40,7 +45,20 @@ from mgsgraph.kernel.lanes import (
     put_four,
     registers,
 )
-from mgsgraph.kernel.rows import CAMERA, GOOD, GROUND, IMAGE, OPK_PEER, OUT, PREDICTED, RANGE, STEREO, SURFACE, Rows
+from mgsgraph.kernel.rows import (
+    BEHIND,
+    CAMERA,
+    GOOD,
+    GROUND,
+    IMAGE,
+    OPK_PEER,
+    OUT,
+    PREDICTED,
+    RANGE,
+    STEREO,
+    SURFACE,
+    Rows,
+)
 
 PIECE_OF, FIRST, BEGIN, END, PATTERN = 0, 1, 2, 3, 4
 """Columns of the table of segments: piece, first point counted in it, lanes from BEGIN up to END, pattern."""
@@ -259,6 +277,39 @@ def all_good(w):
     for l in range(LANES):
         lost = max(lost, w[ACTIVE + l] * abs(w[STATUS + l] - GOOD))
     return lost == 0.0
+
+
+@inlined
+def store_points(rows, segments, count, w, points, states, costs):
+    """Places (n, 3) and states (n,) of a tile; its costs are added to those of its pieces, infinite where a point is
+    behind a camera.
+    """
+    for k in range(count):
+        point, cost = point_of(rows, segments, k), 0.0
+        for l in range(segments[k, BEGIN], segments[k, END]):
+            for j in range(3):
+                points[point + l, j] = w[POINT + j * LANES + l]
+            states[point + l] = w[STATUS + l]
+            cost += np.inf if w[STATUS + l] == BEHIND else w[COST + l]
+        costs[segments[k, PIECE_OF]] += cost
+
+
+@lane
+def store_residuals(rows, segments, count, w, depth, values):
+    """Residuals (t, 2) of a tile's observations, measured minus predicted: of an image ray in pixels, of a range in m,
+    of a surface row its height in m; NaN for a ray whose point is behind the camera.
+    """
+    begin, end = observations_of(rows, segments)
+    for i in range(begin, end):
+        s, kind = TILE + (i - begin) * depth, rows.observation_kind[i]
+        for k in range(count):
+            at = observation_index(rows, segments, k, i - begin)
+            for row in range(2 if kind == IMAGE else 0 if kind == GROUND else 1):
+                for l in range(segments[k, BEGIN], segments[k, END]):
+                    value = w[s + RESULT + RESIDUAL + row * ROW + l] / rows.weight[row, at + l]
+                    if kind == IMAGE and w[s + RESULT + FRONT + l] == 0.0:
+                        value = np.nan
+                    values[at + l, row] = value
 
 
 # ---- where sums over points go: the blocks of pairs of variables
