@@ -16,7 +16,7 @@ import stat
 import time
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cache
@@ -311,19 +311,17 @@ def _listed(kernel: Path) -> list[Path]:
     from mgsgraph.files.labels.kernels import members  # SPICE takes its time to load
 
     here, path = Path.cwd(), kernel.absolute()
-    try:
+    with suppress(InputError):  # reading the case will say what is wrong
         found = read_apart(lambda: members(path, here), str(kernel), "a SPICE kernel", "fetch it again")
         return [member for member in found if member != path]
-    except InputError:
-        return []  # reading the case will say what is wrong
+    return []
 
 
 def _checksum(path: Path) -> str | None:
-    try:
+    with suppress(OSError, InputError):
         state = path.stat()
         return _of_content(path.resolve(), state.st_size, state.st_mtime_ns)
-    except (OSError, InputError):
-        return None
+    return None
 
 
 @cache
