@@ -399,10 +399,9 @@ _EDGE = 0.1
 
 def terrain_of(text: str) -> MegdrResolution:
     """A choice by its name; InputError for any other."""
-    for choice in get_args(MegdrResolution):
-        if text == choice:
-            return cast(MegdrResolution, choice)
-    raise InputError("terrain", repr(text), "4, 16 or 128 pixels per degree, or none")
+    choices = get_args(MegdrResolution)
+    require(text in choices, "terrain", repr(text), "4, 16 or 128 pixels per degree, or none")
+    return cast(MegdrResolution, text)
 
 
 def grid_of(terrain: MegdrResolution, places: Iterable[tuple[float, float]] = ()) -> Grid:
