@@ -184,10 +184,8 @@ def _called_as_asked(temporary: Path, out: Path) -> Iterator[None]:
 
 def target_of(name: Target | str) -> Target:
     """The target of this name."""
-    for target in Target:
-        if name in (target, target.value):
-            return target
-    raise InputError("export, target", repr(name), ", ".join(target.value for target in Target))
+    require(name in list(Target), "export, target", repr(name), ", ".join(Target))
+    return Target(name)
 
 
 def require_supported(targets: Sequence[Target], settings: ExportSettings) -> None:
