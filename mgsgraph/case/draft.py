@@ -260,9 +260,8 @@ def draft_case(given: Sequence[Path], out: Path, name: str = "", replace: bool =
     if not drafted.images:
         raise _no_image(where, kinds, drafted.left_out, unknown)
     bodies = {target_name(draft.image.body): draft for draft in drafted.images}
-    if len(bodies) > 1:
-        each = " and ".join(f"{draft.path.name} of {body}" for body, draft in bodies.items())
-        raise InputError(where, f"images of {len(bodies)} bodies: {each}", "one body", "give their files apart")
+    each = " and ".join(f"{draft.path.name} of {body}" for body, draft in bodies.items())
+    require(len(bodies) <= 1, where, f"images of {len(bodies)} bodies: {each}", "one body", "give their files apart")
     images, missing = named_as(drafted.images, _names_in_networks(kinds))
     parts, refused = draft_tables(kinds, images, out)
     name = name or _name(given, out)

@@ -371,9 +371,8 @@ def mounted(
         instrument = entry.instrument.upper()
         of_instrument = tuple(name for name, of in zip(names, instruments, strict=True) if of == instrument)
         members = entry.camera or entry.laser or of_instrument
-        if not members:
-            present = ", ".join(sorted({kind for kind in instruments if kind})) or "none: ISDs and states don't say"
-            raise InputError(f"{where}, instrument", f"{entry.instrument!r}, of no image", f"one of those ({present})")
+        present = ", ".join(sorted({kind for kind in instruments if kind})) or "none: ISDs and states don't say"
+        require(members, f"{where}, instrument", f"{entry.instrument!r}, of no image", f"one of those ({present})")
         for name in members:
             if name not in names:
                 some_names = ", ".join(list(names)[:4])

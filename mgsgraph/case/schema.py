@@ -144,9 +144,8 @@ class OrientationInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
         position = three(metres, f"{where}, position_sigma_m", infinite=True)
         angle = three(mrad, f"{where}, angle_sigma_mrad", infinite=True) * MRAD
         factors = self.trend or (1.0, 0.1) + (0.01,) * self.degree
-        if len(factors) <= self.degree:
-            expected = f"{self.degree + 1}, one for each power from 0 to degree = {self.degree}"
-            raise InputError(f"{where}, trend", f"{len(factors)} factors", expected)
+        expected = f"{self.degree + 1}, one for each power from 0 to degree = {self.degree}"
+        require(len(factors) > self.degree, f"{where}, trend", f"{len(factors)} factors", expected)
         with errors_from(where):
             return OrientationPrior(np.outer(factors[: self.degree + 1], np.concatenate([position, angle])))
 

@@ -264,9 +264,8 @@ def products_of(texts: Sequence[str]) -> tuple[Product, ...]:
 def require_one_mission(products: Iterable[Product]) -> None:
     """Raise InputError for images of several missions: a folder has the kernels of one."""
     missions = {product.camera.kernels if isinstance(product, CameraProduct) else "mgs_kernels" for product in products}
-    if len(missions) > 1:
-        names = ", ".join(sorted(name.partition("_")[0].upper() for name in missions))
-        raise InputError("images", f"of several missions ({names})", "images of one", "fetch them into a folder each")
+    names, remedy = sorted(name.partition("_")[0].upper() for name in missions), "fetch them into a folder each"
+    require(len(missions) <= 1, "images", f"of several missions ({', '.join(names)})", "images of one", remedy)
 
 
 LEAP_SECONDS = "naif0012.tls"

@@ -246,9 +246,8 @@ def find_image(product: ProductId, volumes: Sequence[str], rows: Rows) -> Locate
     for volume in dict.fromkeys(looked):
         for row in rows(volume):
             if row.product == product:
-                if not row.narrow:
-                    found = f"of the wide angle ({row.instrument})"
-                    raise InputError(f"image {product}", found, "a narrow-angle image, whose geometry is modelled")
+                found = f"of the wide angle ({row.instrument})"
+                require(row.narrow, f"image {product}", found, "a narrow-angle image, whose geometry is modelled")
                 return LocatedImage(volume, row)
     through = sorted(volume for volume in {*looked} if rows(volume))
     found = f"in no volume that was looked through ({some(through, len(through))})" if through else "no volume there"
