@@ -8,7 +8,7 @@ import numpy as np
 
 from mgsgraph.adjustment.settings import Angles, Device, Line, Loss, SolverSettings
 from mgsgraph.case.motion import Factor, Positive, Sigma, three
-from mgsgraph.case.passes import MountingInput, PassInput
+from mgsgraph.case.passes import MountingInput, PassInput, require_image
 from mgsgraph.errors import InputError, errors_from, require
 from mgsgraph.files.labels.aberration import Observer
 from mgsgraph.files.labels.accuracy import accuracy_of
@@ -343,9 +343,7 @@ class SharedInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
         if set(given) != {sigma_key}:
             raise InputError(where, listed(list(given)) if given else "no sigma", f"{sigma_key} for {self.kind}")
         for name in self.images:
-            if name not in names:
-                found, some_names = f"the image {name!r}", ", ".join(list(names)[:4])
-                raise InputError(f"{where}, images", found, f"some of the case's images ({some_names})")
+            require_image(name, names, f"{where}, images")
             require(self.images.count(name) <= 1, f"{where}, images", f"{name!r} twice", "each image once")
         members = [list(names).index(name) for name in self.images or names]
         sigmas = _sigmas(given[sigma_key], kind.width, f"{where}, {sigma_key}", self.kind) * scale
