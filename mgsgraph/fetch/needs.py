@@ -264,8 +264,8 @@ def products_of(texts: Sequence[str]) -> tuple[Product, ...]:
 def require_one_mission(products: Iterable[Product]) -> None:
     """Raise InputError for images of several missions: a folder has the kernels of one."""
     missions = {product.camera.kernels if isinstance(product, CameraProduct) else "mgs_kernels" for product in products}
-    names, remedy = sorted(name.partition("_")[0].upper() for name in missions), "fetch them into a folder each"
-    require(len(missions) <= 1, "images", f"of several missions ({', '.join(names)})", "images of one", remedy)
+    found = f"of several missions ({', '.join(sorted(name.partition('_')[0].upper() for name in missions))})"
+    require(len(missions) <= 1, "images", found, "images of one", "fetch them into a folder each")
 
 
 LEAP_SECONDS = "naif0012.tls"
@@ -398,8 +398,7 @@ _EDGE = 0.1
 
 def terrain_of(text: str) -> MegdrResolution:
     """A choice by its name; InputError for any other."""
-    choices = get_args(MegdrResolution)
-    require(text in choices, "terrain", repr(text), "4, 16 or 128 pixels per degree, or none")
+    require(text in get_args(MegdrResolution), "terrain", repr(text), "4, 16 or 128 pixels per degree, or none")
     return cast(MegdrResolution, text)
 
 
