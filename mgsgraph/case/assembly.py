@@ -435,10 +435,9 @@ def in_images(
     )
     needs_rays = (points.kinds == PointKind.FREE) & (Names.of(known_ids).find(points.ids) < 0)
     dropped = (after < before) & (after < np.where(needs_rays, 2, 1))
-    if dropped.all():
-        found = f"points that are measured in {called}, and none that enough others see"
-        expected = f"points measured in the images of {holder} ({some(images)})"
-        raise InputError(points.source, found, expected, "call images as the network does")
+    found = f"points that are measured in {called}, and none that enough others see"
+    expected = f"points measured in the images of {holder} ({some(images)})"
+    require(not dropped.all(), points.source, found, expected, "call images as the network does")
     left = points.with_measures(held).chosen(np.flatnonzero(~dropped))
     sentence = f"Left out of {points.source}: {many(int((~held).sum()), 'measure')} in "
     sentence += f"{many(len(foreign), 'image')} that {holder} doesn't hold ({called})"

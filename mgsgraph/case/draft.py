@@ -260,9 +260,8 @@ def draft_case(given: Sequence[Path], out: Path, name: str = "", replace: bool =
     if not drafted.images:
         raise _no_image(where, kinds, drafted.left_out, unknown)
     bodies = {target_name(draft.image.body): draft for draft in drafted.images}
-    if len(bodies) > 1:
-        each = " and ".join(f"{draft.path.name} of {body}" for body, draft in bodies.items())
-        raise InputError(where, f"images of {len(bodies)} bodies: {each}", "one body", "give their files apart")
+    each = " and ".join(f"{draft.path.name} of {body}" for body, draft in bodies.items())
+    require(len(bodies) <= 1, where, f"images of {len(bodies)} bodies: {each}", "one body", "give their files apart")
     images, missing = named_as(drafted.images, _names_in_networks(kinds))
     parts, refused = draft_tables(kinds, images, out)
     name = name or _name(given, out)
@@ -369,14 +368,12 @@ def _names_in_networks(kinds: dict[Path, Kind]) -> list[str]:
     """What networks and lidar files call images, each once."""
     names: dict[str, None] = {}
     for path, kind in kinds.items():
-        try:
+        with suppress(InputError):  # said where its table is made
             if kind in (Kind.NETWORK, Kind.TIE_TABLE):
                 names |= dict.fromkeys(read_tie_points(path).measure_image.used)
             elif kind is Kind.LIDAR:
                 shots = read_lidar(path)
                 names |= dict.fromkeys([*shots.measure_image.used, *shots.simultaneous_image.used])
-        except InputError:  # said where its table is made
-            continue
     return list(names)
 
 

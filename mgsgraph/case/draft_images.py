@@ -3,6 +3,7 @@
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from glob import escape
 from pathlib import Path
 from typing import NamedTuple
@@ -173,19 +174,15 @@ def _pixels(path: Path, kinds: Mapping[Path, Kind]) -> Path | None:
 
 def _serials(labels: Sequence[Path]) -> Iterator[str]:
     for label in labels:
-        try:
+        with suppress(InputError):
             yield image_name(label, "label" if image_kind(label, True) == "label" else "cube")
-        except InputError:
-            continue
 
 
 def _products(labels: Sequence[Path], stem: str) -> Iterator[str]:
     for label in labels:
         if label.stem.startswith(stem):
-            try:
+            with suppress(InputError):
                 yield read_line_scan_label(label).product
-            except InputError:
-                continue
 
 
 def _duplicate_of(draft: DraftImage, drafts: Sequence[DraftImage]) -> int | None:

@@ -41,9 +41,8 @@ def three(value: object, where: str, zero: bool = False, infinite: bool = False)
     """
     sigmas = np.atleast_1d(np.asarray(value, dtype=np.float64))
     sound = ((sigmas >= _SIZES[0]) & (sigmas <= _SIZES[1])) | (zero & (sigmas == 0.0)) | (infinite & (sigmas == np.inf))
-    if sigmas.size not in (1, 3) or not np.all(sound):
-        other = " (0 for none)" * zero + " (inf for unknown)" * infinite
-        raise InputError(where, f"{value}", f"one number from 1e-9 to 1e9, or three{other}")
+    other = " (0 for none)" * zero + " (inf for unknown)" * infinite
+    require(sigmas.size in (1, 3) and np.all(sound), where, f"{value}", f"one number from 1e-9 to 1e9, or three{other}")
     return np.broadcast_to(sigmas, 3)
 
 
@@ -259,10 +258,9 @@ def polynomial_sigmas(motion: Motion, default: Array, where: str) -> Array:
         sigmas = np.array([*default[: degree + 1], *more])
         require(np.all(np.isfinite(sigmas)), where, "infinite sigmas, of [orientation]", "finite sigmas here")
         return sigmas
-    if len(values) != degree + 1:
-        terms = ", ".join(("1", "s", "s^2", "s^3")[: degree + 1])
-        expected = f"{degree + 1} for degree = {degree}: of {terms}"
-        raise InputError(f"{where}, {key}", f"{len(values)} sigmas", expected)
+    terms = ", ".join(("1", "s", "s^2", "s^3")[: degree + 1])
+    expected = f"{degree + 1} for degree = {degree}: of {terms}"
+    require(len(values) == degree + 1, f"{where}, {key}", f"{len(values)} sigmas", expected)
     return np.array([three(value, f"{where}, {key}") for value in values]) * motion.scale
 
 
@@ -325,9 +323,8 @@ def trend_sigmas(motion: Motion, default: Array, where: str) -> tuple[Array, Arr
         return bias, drift
     stated = motion.degree is not None or getattr(motion, f"sigmas_{motion.unit}") is not None
     sigmas = polynomial_sigmas(motion, default if stated else default[:2], where)
-    if len(sigmas) > 2:
-        found = f"a polynomial of degree {len(sigmas) - 1} beside a process of the other part"
-        raise InputError(where, found, "degree 0 or 1", "a process here, too")
+    found = f"a polynomial of degree {len(sigmas) - 1} beside a process of the other part"
+    require(len(sigmas) <= 2, where, found, "degree 0 or 1", "a process here, too")
     return sigmas[0], sigmas[1] if len(sigmas) > 1 else np.zeros(3)
 
 

@@ -5,7 +5,7 @@ which of them.
 boresight angles, and away by a lever arm; stated, or unknown beside what is stated.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import Literal
@@ -166,6 +166,13 @@ def _longest(pictures: Sequence[PushbroomImage]) -> float:
     return float(edges[:, 1].max() - edges[:, 0].min())
 
 
+def require_image(name: str, names: Collection[str], where: str) -> None:
+    """Raise InputError unless an image of the case is called so."""
+    if name not in names:
+        some_names = ", ".join(list(names)[:4])
+        raise InputError(where, f"the image {name!r}", f"some of the case's images ({some_names})")
+
+
 def members(entries: Sequence[PassInput], names: Sequence[str], path: str) -> list[list[int]]:
     """Images of each pass, ascending, by the names of all; each image is of one at most."""
     index, owner = numbered(names), dict[int, int]()
@@ -174,9 +181,7 @@ def members(entries: Sequence[PassInput], names: Sequence[str], path: str) -> li
         if entry.images is not None and not entry.images:
             raise InputError(where, "an empty list", "names of images", "leave it out to take all that are left")
         for name in entry.images or ():
-            if name not in index:
-                some_names = ", ".join(list(names)[:4])
-                raise InputError(where, f"the image {name!r}", f"some of the case's images ({some_names})")
+            require_image(name, index, where)
             if index[name] in owner:
                 at = owner[index[name]]
                 called = f"pass {entries[at].name!r}" if entries[at].name else f"passes[{at}]"
@@ -371,13 +376,10 @@ def mounted(
         instrument = entry.instrument.upper()
         of_instrument = tuple(name for name, of in zip(names, instruments, strict=True) if of == instrument)
         members = entry.camera or entry.laser or of_instrument
-        if not members:
-            present = ", ".join(sorted({kind for kind in instruments if kind})) or "none: ISDs and states don't say"
-            raise InputError(f"{where}, instrument", f"{entry.instrument!r}, of no image", f"one of those ({present})")
+        present = ", ".join(sorted({kind for kind in instruments if kind})) or "none: ISDs and states don't say"
+        require(members, f"{where}, instrument", f"{entry.instrument!r}, of no image", f"one of those ({present})")
         for name in members:
-            if name not in names:
-                some_names = ", ".join(list(names)[:4])
-                raise InputError(where, f"the image {name!r}", f"some of the case's images ({some_names})")
+            require_image(name, names, where)
             at = bool(entry.laser), list(names).index(name)
             if at in owner:
                 other = f"mountings[{owner[at]}]" if owner[at] != k else "it"

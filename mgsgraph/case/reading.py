@@ -27,7 +27,7 @@ from mgsgraph.case.schema import (
     TiesInput,
 )
 from mgsgraph.case.terrain import as_grid, read_terrain_model
-from mgsgraph.errors import InputError, Unmeasured, command_line, errors_from
+from mgsgraph.errors import InputError, Unmeasured, command_line, errors_from, require
 from mgsgraph.files.altimetry.lidar import read_lidar
 from mgsgraph.files.altimetry.shots import read_shots
 from mgsgraph.files.datum import NAMED
@@ -430,8 +430,7 @@ def window_beside(network: Path) -> float:
 
 def _add_laser(parts: Parts, tables: CaseInput, path: Path) -> tuple[AltimeterShots, ...]:
     """Shots of ISIS lidar files, of other altimetry, and of profiles; those of the latter are returned."""
-    if tables.laser is True:
-        raise InputError(f"{path}, laser", "true", "false, or a table (or several) with the shots' file")
+    require(tables.laser is not True, f"{path}, laser", "true", "false, or a table (or several) with the shots' file")
     for group in tables.laser_groups:
         parts.add_profile(read_lidar(path.parent / group.file), group)
     for altimetry in tables.altimetry:
@@ -455,9 +454,8 @@ def read_altimetry(entry: AltimetryInput, folder: Path, body: Ellipsoid) -> Alti
     cloud = read_altimetry_cloud(path, body, entry.version)
     if entry.footprint_m is not None:
         return replace(cloud, footprint=entry.footprint_m)
-    if np.isnan(cloud.footprint):
-        found, expected = "shots of an unknown altimeter", "the diameter of its spots on the ground"
-        raise InputError(str(path), found, expected, "give footprint_m in [[altimetry]]")
+    found, expected = "shots of an unknown altimeter", "the diameter of its spots on the ground"
+    require(not np.isnan(cloud.footprint), str(path), found, expected, "give footprint_m in [[altimetry]]")
     return cloud
 
 
@@ -471,10 +469,9 @@ def _read_terrain(
     areoid: TerrainGrid | None = None
     models = list[TerrainModel]()
     for k, entry in enumerate(tables.terrain_models):
-        if k and not entry.cells:
-            found = "shift = false, a tilt or control = false in a terrain model after the first"
-            expected = "a grid with an unknown horizontal place: tie points lie on the first model alone"
-            raise InputError(f"{path}, terrain[{k}]", found, expected)
+        found = "shift = false, a tilt or control = false in a terrain model after the first"
+        expected = "a grid with an unknown horizontal place: tie points lie on the first model alone"
+        require(k == 0 or entry.cells, f"{path}, terrain[{k}]", found, expected)
         model, beneath = read_terrain_model(entry, path, images)
         if k == 0:
             radii, areoid = as_grid(model) if entry.control else None, beneath

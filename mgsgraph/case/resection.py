@@ -225,7 +225,6 @@ def _ties_on_ellipsoid(
             ground.append(image.image_to_ground(*points.measures[other[second]].T)[0])
     places, met = np.concatenate(measures), np.concatenate(ground)
     sound = finite_rows(met)
-    if not sound.any():
-        found = f"no tie point that {name} and an image with an orbit measure, and no place"
-        raise InputError(where, found, "tie points in [ties], or longitude_deg and latitude_deg of its middle")
+    found = f"no tie point that {name} and an image with an orbit measure, and no place"
+    require(sound.any(), where, found, "tie points in [ties], or longitude_deg and latitude_deg of its middle")
     return places[sound], met[sound]

@@ -10,14 +10,14 @@ from mgsgraph.case.case_file import decode, read_images
 from mgsgraph.case.passes import members
 from mgsgraph.case.reading import picture_of, read_profile
 from mgsgraph.case.schema import CaseInput
-from mgsgraph.case.terrain import as_grid, read_terrain_model
+from mgsgraph.case.terrain import as_grid, ground_seen, read_terrain_model
 from mgsgraph.errors import InputError, require
 from mgsgraph.files.altimetry.lidar import read_lidar
 from mgsgraph.files.rasters.pictures import read_picture
 from mgsgraph.geometry.body import ellipsoidal_heights
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
-from mgsgraph.geometry.records import Array, all_pairs, finite_rows
+from mgsgraph.geometry.records import Array, finite_rows
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.matching.scene import Ground, GroundChart, Picture, Scene
 
@@ -128,11 +128,7 @@ def _chart(images: Sequence[PushbroomImage], height: float) -> GroundChart:
 
 def _places(images: Sequence[PushbroomImage], height: float) -> Array:
     """(n, 3) m, corners and middles of the images' sides and themselves, those that see the body."""
-    parts = []
-    for image in images:
-        lines, samples = all_pairs(np.linspace(0.0, image.lines, 9), np.linspace(0.0, image.samples, 3)).T
-        parts.append(image.image_to_ground(lines, samples, height)[0])
-    places = np.concatenate(parts)
+    places = ground_seen(images, (9, 3), height)
     places = places[finite_rows(places)]
     require(places.size != 0, "images to match", "none that sees the body", "images of the ground")
     return places

@@ -8,7 +8,7 @@ import numpy as np
 
 from mgsgraph.adjustment.settings import Angles, Device, Line, Loss, SolverSettings
 from mgsgraph.case.motion import Factor, Positive, Sigma, three
-from mgsgraph.case.passes import MountingInput, PassInput
+from mgsgraph.case.passes import MountingInput, PassInput, require_image
 from mgsgraph.errors import InputError, errors_from, require
 from mgsgraph.files.labels.aberration import Observer
 from mgsgraph.files.labels.accuracy import accuracy_of
@@ -144,9 +144,8 @@ class OrientationInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
         position = three(metres, f"{where}, position_sigma_m", infinite=True)
         angle = three(mrad, f"{where}, angle_sigma_mrad", infinite=True) * MRAD
         factors = self.trend or (1.0, 0.1) + (0.01,) * self.degree
-        if len(factors) <= self.degree:
-            expected = f"{self.degree + 1}, one for each power from 0 to degree = {self.degree}"
-            raise InputError(f"{where}, trend", f"{len(factors)} factors", expected)
+        expected = f"{self.degree + 1}, one for each power from 0 to degree = {self.degree}"
+        require(len(factors) > self.degree, f"{where}, trend", f"{len(factors)} factors", expected)
         with errors_from(where):
             return OrientationPrior(np.outer(factors[: self.degree + 1], np.concatenate([position, angle])))
 
@@ -344,9 +343,7 @@ class SharedInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
         if set(given) != {sigma_key}:
             raise InputError(where, listed(list(given)) if given else "no sigma", f"{sigma_key} for {self.kind}")
         for name in self.images:
-            if name not in names:
-                found, some_names = f"the image {name!r}", ", ".join(list(names)[:4])
-                raise InputError(f"{where}, images", found, f"some of the case's images ({some_names})")
+            require_image(name, names, f"{where}, images")
             require(self.images.count(name) <= 1, f"{where}, images", f"{name!r} twice", "each image once")
         members = [list(names).index(name) for name in self.images or names]
         sigmas = _sigmas(given[sigma_key], kind.width, f"{where}, {sigma_key}", self.kind) * scale

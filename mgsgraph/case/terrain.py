@@ -56,7 +56,7 @@ def read_terrain_model(
     levels += ["topography"] if entry.areoid and entry.topography else []
     if len(levels) > 1:
         raise InputError(place, f"both {levels[0]} and {levels[1]}", "heights above one reference")
-    files = _Files(entry, folder, images[0].body, _about(_ground(images)))
+    files = _Files(entry, folder, images[0].body, _about(ground_seen(images, (_EDGES, 9))))
     areoid = None
     if entry.areoid is not None:
         areoid = as_grid(files.read((entry.areoid,), "areoid"), "areoid")
@@ -188,10 +188,12 @@ def _about(ground: Array) -> Array:
     return np.concatenate([finite + sign * offsets[:, axis] for axis in range(2) for sign in (-1.0, 1.0)])
 
 
-def _ground(images: Sequence[PushbroomImage]) -> Array:
-    """(n, 3) m, on the ellipsoid, a lattice over each image; NaN where it looks past the body."""
+def ground_seen(images: Sequence[PushbroomImage], size: tuple[int, int], height: float = 0.0) -> Array:
+    """(n, 3) m, at a height above the ellipsoid, a lattice over each image, of so many lines and samples; NaN where it
+    looks past the body.
+    """
     parts = []
     for image in images:
-        places = all_pairs(np.linspace(0.0, image.lines, _EDGES), np.linspace(0.0, image.samples, 9))
-        parts.append(image.image_to_ground(*places.T)[0])
+        lines, samples = all_pairs(np.linspace(0.0, image.lines, size[0]), np.linspace(0.0, image.samples, size[1])).T
+        parts.append(image.image_to_ground(lines, samples, height)[0])
     return np.concatenate(parts)

@@ -106,8 +106,7 @@ def main() -> None:
     sys.unraisablehook = _unraisable
     guard_streams()
     try:
-        _require_memory()
-        _require_files()
+        _require_limits()
         _require_threads()
         _require_utf8((os.getcwd(), *sys.argv[1:]))
         status = group(standalone_mode=False)
@@ -143,27 +142,20 @@ def _importing(frame: FrameType | None) -> bool:
     return frame is not None
 
 
-def _require_memory() -> None:
-    """Raise MgsgraphError if the address space of the process is too small for the libraries."""
+def _require_limits() -> None:
+    """Raise MgsgraphError if the address space of the process is too small for the libraries, or where the process may
+    open fewer files than kernels and libraries need.
+    """
     if sys.platform == "win32":
         return
     import resource
 
-    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-    if limit != resource.RLIM_INFINITY and limit < _LEAST:
-        raise MgsgraphError(f"{limit / 1e6:.0f} MB of memory for a process (ulimit -v); expected {_LEAST / 1e6:.0f} MB "
-                            "at least; raise the limit")  # fmt: skip
-
-
-def _require_files() -> None:
-    """Raise MgsgraphError where the process may open fewer files than kernels and libraries need."""
-    if sys.platform == "win32":
-        return
-    import resource
-
-    limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
-    if limit < _FEWEST_FILES:
-        raise MgsgraphError(f"{limit} open files for a process (ulimit -n); expected {_FEWEST_FILES}; raise the limit")
+    memory, files = (resource.getrlimit(kind)[0] for kind in (resource.RLIMIT_AS, resource.RLIMIT_NOFILE))
+    if memory != resource.RLIM_INFINITY and memory < _LEAST:
+        raise MgsgraphError(f"{memory / 1e6:.0f} MB of memory for a process (ulimit -v); expected "
+                            f"{_LEAST / 1e6:.0f} MB at least; raise the limit")  # fmt: skip
+    if files < _FEWEST_FILES:
+        raise MgsgraphError(f"{files} open files for a process (ulimit -n); expected {_FEWEST_FILES}; raise the limit")
 
 
 def _require_threads() -> None:

@@ -38,6 +38,11 @@ _IMPACT = click.option(
 )
 
 
+def _changing(verb: Callable[..., None]) -> Callable[..., None]:
+    """Decorator: adds the options of a verb that changes a project and says what moved; it takes the context first."""
+    return _WHY(_IMPACT(DETAILS(click.pass_context(verb))))
+
+
 @click.command()
 @click.argument("project", type=PATH)
 @click.option("--case", type=PATH, help="A case file: its images, measures, terrain and settings go in.")
@@ -75,11 +80,8 @@ def init(project: Path, case: Path | None, settings: Path | None, name: str) -> 
 @click.option("--shots", type=PATH, multiple=True, metavar="FILE", help="ISIS lidar (.json) or PEDR; may be repeated.")
 @click.option("--pass", "of_pass", default="", metavar="NAME", help="Pass of PROJECT that they are images of.")
 @click.option("--share", "shares", multiple=True, metavar="NAME", help="Shared unknown that they share; repeatable.")
-@_WHY
-@_IMPACT
-@DETAILS
+@_changing
 @click.option("--dry-run", is_flag=True, help="Add and adjust, say what would move, and change nothing.")
-@click.pass_context
 def add(
     ctx: click.Context, project: Path, images: tuple[str, ...], ties: tuple[Path, ...], shots: tuple[Path, ...],
     of_pass: str, shares: tuple[str, ...], why: str, table: Path | None, dry_run: bool,
@@ -129,10 +131,7 @@ def _description_of(addition: "Addition") -> str:
 @click.command()
 @click.argument("project", type=PATH)
 @click.argument("images", nargs=-1, required=True, metavar="IMAGE...")
-@_WHY
-@_IMPACT
-@DETAILS
-@click.pass_context
+@_changing
 def remove(ctx: click.Context, project: Path, images: tuple[str, ...], why: str, table: Path | None) -> None:
     """Take each IMAGE (by its name or a unique part of it) out of PROJECT with its measures, and adjust the rest.
 
@@ -162,10 +161,7 @@ def remove(ctx: click.Context, project: Path, images: tuple[str, ...], why: str,
 @click.option("--reject", "rejected", multiple=True, metavar="IMAGE", help="Set its measure in IMAGE aside.")
 @click.option("--accept", "accepted", multiple=True, metavar="IMAGE", help="Take a rejected measure in again.")
 @click.option("--remove", "gone", is_flag=True, help="Remove POINT.")
-@_WHY
-@_IMPACT
-@DETAILS
-@click.pass_context
+@_changing
 def measure(
     ctx: click.Context, project: Path, point: str, new: bool, pixels: tuple[tuple[str, float, float], ...],
     sigma_px: float | None, rejected: tuple[str, ...], accepted: tuple[str, ...], gone: bool, why: str,
@@ -210,10 +206,7 @@ def measure(
 @click.command()
 @click.argument("project", type=PATH)
 @click.argument("change", type=int, required=False)
-@_WHY
-@_IMPACT
-@DETAILS
-@click.pass_context
+@_changing
 def undo(ctx: click.Context, project: Path, change: int | None, why: str, table: Path | None) -> None:
     """Undo the last change of PROJECT (add, remove, measure, match, align), and adjust; once more for the one before.
 
@@ -229,10 +222,7 @@ def undo(ctx: click.Context, project: Path, change: int | None, why: str, table:
 
 @click.command()
 @click.argument("project", type=PATH)
-@_WHY
-@_IMPACT
-@DETAILS
-@click.pass_context
+@_changing
 def redo(ctx: click.Context, project: Path, why: str, table: Path | None) -> None:
     """Carry out again the last change of PROJECT that `mgsgraph project undo` took back, and adjust; once more for the
     next one. A new change of PROJECT ends what can be redone.

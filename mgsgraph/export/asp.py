@@ -77,9 +77,8 @@ def _files(solution: Solution, named: Mapping[str, str]) -> list[str]:
     """File of each image's pixels."""
     names = solution.network.image_names
     for name in named:
-        if name not in names:
-            found, some_names = f"the image {name!r}", ", ".join(names[:4])
-            raise InputError("images of the export", found, f"some of the solution's images ({some_names})")
+        found, some_names = f"the image {name!r}", ", ".join(names[:4])
+        require(name in names, "images of the export", found, f"some of the solution's images ({some_names})")
     for name, file in named.items():
         if not file or len(file.split()) != 1:
             raise InputError(f"image {name!r}", f"the file {file!r}", "a name without blanks, as the lists need it")

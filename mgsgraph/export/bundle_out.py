@@ -20,7 +20,7 @@ import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import PLACES, local_sigmas, prior_sigmas, rejected_points, used_ray_counts
-from mgsgraph.errors import InputError
+from mgsgraph.errors import require
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.files.output.table import picked, quoted
 from mgsgraph.files.writing import write_files
@@ -302,7 +302,6 @@ def covariance_factor(solution: Solution, scaled: bool) -> float:
     """sigma0^2 when `scaled`, else 1; InputError where there is no sigma0."""
     if not scaled:
         return 1.0
-    if not math.isfinite(solution.sigma0):
-        found = f"{solution.fit.degrees_of_freedom} degrees of freedom"
-        raise InputError(f"solution {solution.name!r}, sigma0", found, "more than none, to scale by it", "don't scale")
+    where, found = f"solution {solution.name!r}, sigma0", f"{solution.fit.degrees_of_freedom} degrees of freedom"
+    require(math.isfinite(solution.sigma0), where, found, "more than none, to scale by it", "don't scale")
     return solution.sigma0**2

@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.export.refined_tables import RefinedTables, Turning, body_table, refined_tables
 from mgsgraph.files.labels.aberration import Aberration
 from mgsgraph.files.opening import read_json
@@ -387,9 +387,8 @@ def _support_data(
 ) -> dict[str, Any]:
     """Support data in the layout that ALE writes and `files.support_data.isd` reads."""
     summing = int(image.interior.sample_summing)
-    if summing != image.interior.sample_summing:
-        where = f"image {image.name}, detector_sample_summing"
-        raise InputError(where, f"{image.interior.sample_summing:g}", "a whole number")
+    where = f"image {image.name}, detector_sample_summing"
+    require(summing == image.interior.sample_summing, where, f"{image.interior.sample_summing:g}", "a whole number")
     carried = {k: v for k, v in original.items() if k not in ("sun_position", "body_rotation", "instrument_pointing")}
     fields = support_fields(
         image, tables.epoch, _position_table(tables, body), _pointing_table(tables, body, original),

@@ -28,7 +28,7 @@ import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.atomic_write import resolved
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.export.csm import described_times
 from mgsgraph.export.spice_nodes import AdjustedNodes, adjusted_nodes
 from mgsgraph.files.cameras.label import is_map_projected, label_of
@@ -152,9 +152,8 @@ def write_cubes(
         paths += [copy for copy, _ in new]
         originals += new
         largest = max(largest, _compared(place / path.name, picture, correction))
-    if not paths:
-        found = f"no ISIS cube with tables of spiceinit of {some(names)}"
-        raise InputError("export to cubes", found, "one of any image", "name the case that has them (--case)")
+    found = f"no ISIS cube with tables of spiceinit of {some(names)}"
+    require(paths, "export to cubes", found, "one of any image", "name the case that has them (--case)")
     return paths, tuple(_notes(len(names), without, largest, biased, mapped)), originals
 
 

@@ -4,7 +4,7 @@ lost on the way said. Of files of a network's name those alone are replaced that
 
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -376,10 +376,9 @@ def _read_by(read: Callable[[Path], object]) -> Callable[[Path], bool]:
     """Whether a reader accepts a file whose beginning doesn't tell its kind."""
 
     def known(path: Path) -> bool:
-        try:
+        with suppress(InputError):
             read(path)
-        except InputError:
-            return False
-        return True
+            return True
+        return False
 
     return known

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 from msgspec import structs
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import require
 from mgsgraph.export.exchange_setting import leading
 from mgsgraph.files.networks.editing import SAME_PLACE, separation, united, with_measures
 from mgsgraph.files.networks.pvl import MEASURE_TYPES
@@ -125,9 +125,8 @@ def with_content(adjusted: ControlNetwork, source: ControlNetwork, images: Colle
         else:
             met["taken"] += 1
             points.append(_united(original, own, met))
-    if not met["taken"]:
-        found = "none of the points that were adjusted"
-        raise InputError(source.source, found, "the network that was adjusted", "name another one (--ties)")
+    found = "none of the points that were adjusted"
+    require(met["taken"], source.source, found, "the network that was adjusted", "name another one (--ties)")
     network = structs.replace(
         adjusted, points=(*points, *by_id.values()), network_id=source.network_id or adjusted.network_id,
         target_name=source.target_name or adjusted.target_name, created=source.created,

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import Moments, OrientationCorrection
@@ -130,9 +130,8 @@ def _middle_pixel(image: PushbroomImage, correction: OrientationCorrection) -> t
     """The smaller side in m on the ground of the pixel in the image's middle, and the camera's distance from there."""
     line, sample = image.middle
     ground, by_place = image.image_to_ground(line, sample, 0.0, correction)
-    if not np.isfinite(ground).all():
-        found, expected = "a middle that looks past the body", "one that sees the ellipsoid"
-        raise InputError(f"image {image.name}, m_referencePointXyz", found, expected)
+    found, expected = "a middle that looks past the body", "one that sees the ellipsoid"
+    require(np.isfinite(ground).all(), f"image {image.name}, m_referencePointXyz", found, expected)
     distance = np.linalg.norm(image.pose(line, correction).position - ground)
     return float(np.linalg.norm(by_place[0], axis=0).min()), float(distance)
 

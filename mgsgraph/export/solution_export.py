@@ -164,9 +164,8 @@ def _require_same_target(out: Path, target: Target) -> None:
     if not (out / EXPORT).is_file():  # no export: `fresh_folder` says what is there
         return
     present = read_record(out / EXPORT).get("target")
-    if present != target.value:
-        found = f"an export to {present}, which would be lost"
-        raise InputError(str(out), found, f"one to {target.value}, or none", "choose another --out")
+    found = f"an export to {present}, which would be lost"
+    require(present == target.value, str(out), found, f"one to {target.value}, or none", "choose another --out")
 
 
 @contextmanager
@@ -184,10 +183,8 @@ def _called_as_asked(temporary: Path, out: Path) -> Iterator[None]:
 
 def target_of(name: Target | str) -> Target:
     """The target of this name."""
-    for target in Target:
-        if name in (target, target.value):
-            return target
-    raise InputError("export, target", repr(name), ", ".join(target.value for target in Target))
+    require(name in list(Target), "export, target", repr(name), ", ".join(Target))
+    return Target(name)
 
 
 def require_supported(targets: Sequence[Target], settings: ExportSettings) -> None:

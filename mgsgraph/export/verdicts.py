@@ -200,9 +200,8 @@ def require_verdicts_of(ties: TiePoints, verdicts: Verdicts) -> None:
     """Raise InputError unless the verdicts are about these points, all of the network that was reviewed."""
     remedy = "give the network that was reviewed"
     unknown = sorted(set(verdicts.of) - set(ties.ids))
-    if unknown:
-        found = f"verdicts about {some([repr(name) for name in unknown])}"
-        raise InputError(verdicts.source, found, f"points of {ties.source}", remedy)
+    found = f"verdicts about {some([repr(name) for name in unknown])}"
+    require(not unknown, verdicts.source, found, f"points of {ties.source}", remedy)
     if verdicts.network and verdicts.network != (digest := network_digest(ties)):
         found = f"verdicts about network {verdicts.network}"
         raise InputError(verdicts.source, found, f"{digest}, which {ties.source} is", remedy)

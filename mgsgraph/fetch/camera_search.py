@@ -4,6 +4,7 @@ labels, laser shots over its ground by ODE.
 
 import re
 from collections.abc import Iterator
+from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 from typing import NamedTuple
 
@@ -123,11 +124,9 @@ class CameraSearch:
         listed = set(re.findall(r"mexhrs_\d{4}", self._store.remote.listing(root))) or {"mexhrs_4000", "mexhrs_1001"}
         for volume in sorted(listed, reverse=True):
             file = f"{volume}/data/{product.name[1:5].lower()}/{product.name.lower()}.{suffix}"
-            try:
+            with suppress(NotInArchive):
                 self._store.remote.head(root + file, 1)
-            except NotInArchive:
-                continue
-            return file
+                return file
         nowhere = f"in none of {', '.join(sorted(listed))}"
         raise InputError(where, nowhere, expected, "check the id, and the digit of its level")
 
@@ -247,8 +246,6 @@ def dates_in(name: str) -> Interval | None:
 
 
 def _days(texts: tuple[str, ...]) -> Iterator[datetime]:
-    for text in texts:
-        try:
+    with suppress(ValueError):
+        for text in texts:
             yield datetime.strptime(text, "%y%m%d" if len(text) == 6 else "%Y%j").replace(tzinfo=UTC)
-        except ValueError:
-            return

@@ -143,7 +143,7 @@ class PartialFile:
 
     def begin(self, source: RemoteSource) -> None:
         """Begin again with an empty file."""
-        try:
+        with self._writing():
             self.path.parent.mkdir(parents=True, exist_ok=True)
             free = shutil.disk_usage(self.path.parent).free
             if source.total is not None and source.total + _SPARE > free:
@@ -154,38 +154,35 @@ class PartialFile:
             for path, content in ((self.file, b""), (self._said, json.dumps(asdict(source)).encode())):
                 path.unlink(missing_ok=True)
                 _write(path, os.O_CREAT | os.O_EXCL, content)
-        except OSError as error:
-            raise self._refusal(error) from None
         self.source = source
 
     def add(self, more: bytes) -> None:
         """Bytes that follow on those that are there."""
-        try:
+        with self._writing():
             _write(self.file, os.O_APPEND, more)
-        except OSError as error:
-            raise self._refusal(error) from None
 
     def finish(self) -> None:
         """Move it to the file's place."""
-        try:
+        with self._writing():
             put_file(self.file, self.path)
             self._said.unlink(missing_ok=True)
-        except OSError as error:
-            raise self._refusal(error) from None
 
     def discard(self) -> None:
         """Delete the partial file."""
         self.source = None
-        try:
+        with self._writing():
             self.file.unlink(missing_ok=True)
             self._said.unlink(missing_ok=True)
-        except OSError as error:
-            raise self._refusal(error) from None
 
-    def _refusal(self, error: OSError) -> InputError:
-        space = "free some space, or " if error.errno in (errno.ENOSPC, errno.EDQUOT) else ""
-        remedy = f"{space}choose another --out; what has come is kept"
-        return InputError(str(self.path), f"can't be written ({error.strerror or error})", remedy=remedy)
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        """InputError in place of the system's error."""
+        try:
+            yield
+        except OSError as error:
+            space = "free some space, or " if error.errno in (errno.ENOSPC, errno.EDQUOT) else ""
+            remedy = f"{space}choose another --out; what has come is kept"
+            raise InputError(str(self.path), f"can't be written ({error.strerror or error})", remedy=remedy) from None
 
 
 class Refused(InputError):

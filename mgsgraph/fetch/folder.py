@@ -268,9 +268,8 @@ def _made_folder(folder: Path) -> Path:
     with writing_to(folder, "a folder", _REMEDY):
         if folder.exists() and not (folder / LOCK).exists():
             require(folder.is_dir(), str(folder), "exists and is a file", "a folder to fetch into", _REMEDY)
-            if any(folder.iterdir()):
-                found, expected = f"exists, and has no {LOCK}", "an empty folder, or one fetched into"
-                raise InputError(str(folder), found, expected, _REMEDY)
+            found, expected = f"exists, and has no {LOCK}", "an empty folder, or one fetched into"
+            require(not any(folder.iterdir()), str(folder), found, expected, _REMEDY)
         folder.mkdir(parents=True, exist_ok=True)
         for inside in map(folder.joinpath, FOLDERS):
             if inside.is_symlink() or (inside.exists() and not inside.is_dir()):

@@ -1,6 +1,7 @@
 """Which SPK and CK hold an image's time (UTC): predicted by the mission's phases, confirmed by the kernels' labels."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from datetime import UTC, date, datetime, time, timedelta
 from typing import NamedTuple
 
@@ -56,10 +57,8 @@ class Interval(NamedTuple):
 def utc(text: str, where: str) -> datetime:
     """A time such as 1999-06-02T00:00:02.183 or 1999-153T00:00:02; InputError names `where`."""
     plain = text.strip().strip('"').removesuffix("Z")
-    try:
+    with suppress(ValueError):
         return datetime.fromisoformat(plain).replace(tzinfo=UTC)
-    except ValueError:
-        pass
     try:
         return datetime.strptime(plain.partition(".")[0], _DAY_OF_YEAR).replace(tzinfo=UTC)
     except ValueError:

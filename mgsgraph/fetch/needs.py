@@ -264,9 +264,8 @@ def products_of(texts: Sequence[str]) -> tuple[Product, ...]:
 def require_one_mission(products: Iterable[Product]) -> None:
     """Raise InputError for images of several missions: a folder has the kernels of one."""
     missions = {product.camera.kernels if isinstance(product, CameraProduct) else "mgs_kernels" for product in products}
-    if len(missions) > 1:
-        names = ", ".join(sorted(name.partition("_")[0].upper() for name in missions))
-        raise InputError("images", f"of several missions ({names})", "images of one", "fetch them into a folder each")
+    found = f"of several missions ({', '.join(sorted(name.partition('_')[0].upper() for name in missions))})"
+    require(len(missions) <= 1, "images", found, "images of one", "fetch them into a folder each")
 
 
 LEAP_SECONDS = "naif0012.tls"
@@ -399,10 +398,8 @@ _EDGE = 0.1
 
 def terrain_of(text: str) -> MegdrResolution:
     """A choice by its name; InputError for any other."""
-    for choice in get_args(MegdrResolution):
-        if text == choice:
-            return cast(MegdrResolution, choice)
-    raise InputError("terrain", repr(text), "4, 16 or 128 pixels per degree, or none")
+    require(text in get_args(MegdrResolution), "terrain", repr(text), "4, 16 or 128 pixels per degree, or none")
+    return cast(MegdrResolution, text)
 
 
 def grid_of(terrain: MegdrResolution, places: Iterable[tuple[float, float]] = ()) -> Grid:

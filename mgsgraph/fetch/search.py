@@ -12,6 +12,7 @@ import math
 import re
 from bisect import bisect_left
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from functools import cache
@@ -166,10 +167,8 @@ def _rows(table: Path, places: list[slice], east: float) -> Iterator[IndexRow]:
             raise InputError(f"{table}, row {number}", f"{len(line)} bytes", expected, remedy)
         product, file, instrument, *place = (line[place].strip(' "') for place in places)
         degrees = [sense * _degrees(text) for sense, text in zip((east, 1.0), place, strict=False)]
-        try:
+        with suppress(InputError):  # calibration and the like
             yield IndexRow(ProductId.read(product), file.lower(), instrument, *degrees)
-        except InputError:
-            continue  # calibration and the like
 
 
 def _degrees(text: str) -> float:
@@ -247,9 +246,8 @@ def find_image(product: ProductId, volumes: Sequence[str], rows: Rows) -> Locate
     for volume in dict.fromkeys(looked):
         for row in rows(volume):
             if row.product == product:
-                if not row.narrow:
-                    found = f"of the wide angle ({row.instrument})"
-                    raise InputError(f"image {product}", found, "a narrow-angle image, whose geometry is modelled")
+                found = f"of the wide angle ({row.instrument})"
+                require(row.narrow, f"image {product}", found, "a narrow-angle image, whose geometry is modelled")
                 return LocatedImage(volume, row)
     through = sorted(volume for volume in {*looked} if rows(volume))
     found = f"in no volume that was looked through ({some(through, len(through))})" if through else "no volume there"
@@ -315,11 +313,9 @@ class Search:
         """Of a volume; empty where the archive has none."""
         for name in NAMES:
             address, path = f"{self._archives.images}{volume}/index/{name}", f"index/{volume}"
-            try:
+            with suppress(NotInArchive):
                 label = self._store.get(WantedFile(f"{address}.lbl", f"{path}.lbl"))
                 return read_index(self._store.get(WantedFile(f"{address}.tab", f"{path}.tab")), label)
-            except NotInArchive:
-                continue
         return ()
 
     def _image_label(self, product: ProductId, url: str) -> Block:

@@ -216,10 +216,9 @@ def search_radius(first: Picture, second: Picture, scene: Scene) -> float:
     variance = 0.0
     for picture in (first, second):
         sigmas = np.linalg.norm(picture.prior.sigmas, axis=0)
-        if not np.all(np.isfinite(sigmas)):
-            found = "an infinite a-priori sigma of its orientation"
-            remedy = "or say how far to search: --search METRES"
-            raise InputError(f"image {picture.image.name}", found, "a finite one", remedy)
+        found = "an infinite a-priori sigma of its orientation"
+        remedy = "or say how far to search: --search METRES"
+        require(np.all(np.isfinite(sigmas)), f"image {picture.image.name}", found, "a finite one", remedy)
         middle = 0.5 * np.array([picture.image.lines]), 0.5 * np.array([picture.image.samples])
         origin, ray = picture.image.sightlines(*middle)
         away = float(np.linalg.norm(scene.ground.meet(origin, ray) - origin))

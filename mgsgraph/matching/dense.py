@@ -285,9 +285,8 @@ def dense_matches(
     scene.require_contrast()
     extents = boxes(scene)
     views = [view for pair in pairs_of(scene) if (view := _view(scene, pair, extents)) is not None]
-    if not views:
-        found, remedy = "they look at the ground from the same side", "rays that are all but parallel tell no height"
-        raise InputError(scene.where, found, "a stereo pair", remedy)
+    found, remedy = "they look at the ground from the same side", "rays that are all but parallel tell no height"
+    require(views, scene.where, found, "a stereo pair", remedy)
     work = [(view, _tiles(view, step)) for view in views]
     done, most = 0, sum(len(tiles) for _, tiles in work)
     progress("dense matching", 0, most)

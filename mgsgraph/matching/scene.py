@@ -137,9 +137,8 @@ class Picture(Record):
 
     def __post_init__(self) -> None:
         shape = (self.image.lines, self.image.samples)
-        if self.pixels.shape != shape:
-            found = f"pixels of shape {self.pixels.shape}"
-            raise InputError(f"image {self.image.name}", found, f"{shape[0]} lines x {shape[1]} samples")
+        found = f"pixels of shape {self.pixels.shape}"
+        require(self.pixels.shape == shape, f"image {self.image.name}", found, f"{shape[0]} lines x {shape[1]} samples")
 
     def project(self, points: Array) -> Array:
         """(n, 2) line and sample of ground points (n, 3) in m; NaN where they are not seen."""
@@ -328,9 +327,8 @@ def footprints(scene: Scene) -> list[Footprint]:
     """
     shapes = [footprint(picture.image, scene.ground.height, picture.correction) for picture in scene.pictures]
     for shape in shapes:
-        if shape.outline.shape[0] == 0:
-            problem = "it sees nothing of the body, or a quarter of the way around it"
-            raise InputError(f"image {shape.name}", problem, "an image of the ground", "leave the image out, or cut it")
+        where, problem = f"image {shape.name}", "it sees nothing of the body, or a quarter of the way around it"
+        require(len(shape.outline), where, problem, "an image of the ground", "leave the image out, or cut it")
     return shapes
 
 

@@ -99,9 +99,8 @@ class PlannedShots:
 def planned_image(coverage: ImageCoverage, known: KnownImage, ties: PlannedTies) -> Candidate:
     """A candidate image with its tie points; images of the network in their order, and then the candidate."""
     name = known.image.name
-    if name in coverage.views:
-        found = "a candidate that is an image of the network already"
-        raise InputError(f"candidate {name}", found, "a new image", "take it out of the candidates")
+    found = "a candidate that is an image of the network already"
+    require(name not in coverage.views, f"candidate {name}", found, "a new image", "take it out of the candidates")
     view = coverage.new_image(known)
     near = coverage.overlapping(view)
     if not near:
@@ -255,9 +254,8 @@ def _points(ids: Iterable[str], kind: PointClass, places: Array, covariances: Ar
 def _require_new(coverage: ImageCoverage, ids: Sequence[str], name: str) -> None:
     present = set(coverage.network.points.ids)
     for point_id in ids:
-        if point_id in present:
-            found = f"the point {point_id!r}, which is in the network already"
-            raise InputError(f"candidate {name}", found, "a new point", "give it another name")
+        found = f"the point {point_id!r}, which is in the network already"
+        require(point_id not in present, f"candidate {name}", found, "a new point", "give it another name")
 
 
 _Rays = tuple[Index, Sequence[str], Array, Array]

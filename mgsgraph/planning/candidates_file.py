@@ -161,9 +161,8 @@ def _image(coverage: ImageCoverage, entry: CandidateImage, tables: CandidatesInp
     where = f"{path}, images[{k}]"
     orientation = entry.orientation or tables.orientation
     ties = PlannedTies(entry.ties, entry.sigma_px, entry.measure_sigma_px, entry.existing)
-    if entry.name in coverage.views:
-        found = f"the image {entry.name!r}, which is in the network already"
-        raise InputError(where, found, "a new image", "take it out of the candidates")
+    found = f"the image {entry.name!r}, which is in the network already"
+    require(entry.name not in coverage.views, where, found, "a new image", "take it out of the candidates")
     image = read_image(entry, tables.spice, path.parent, where)
     require(image.body == coverage.network.body, where, "an image of another body than the network's", "one body")
     image = orientation.nominal_of(image)

@@ -324,9 +324,8 @@ def _with_names(
 
 def _require_new(names: Sequence[str], stored_names: Sequence[str], where: str) -> None:
     for k, name in enumerate(names):
-        if name in stored_names:
-            remedy = f"remove it first to replace it: {command_line('project', 'remove', where, name)}"
-            raise InputError(where, f"the image {name!r} is in the project already", "a new image", remedy)
+        remedy = f"remove it first to replace it: {command_line('project', 'remove', where, name)}"
+        require(name not in stored_names, where, f"the image {name!r} is in the project already", "a new image", remedy)
         if name in names[:k]:
             raise InputError(where, f"the image {name!r} is given twice", "each image once", "name them: NAME=FILE")
 

@@ -16,10 +16,10 @@ import stat
 import time
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from functools import cache
+from functools import cache, partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal, Self, get_args
@@ -37,7 +37,7 @@ from mgsgraph.errors import InputError, MgsgraphError, is_interrupt, require
 from mgsgraph.files.opening import sha256_of
 from mgsgraph.files.output.folders import MATCH, PROJECT, require_replaceable
 from mgsgraph.files.output.folders import RECORD as RESULT
-from mgsgraph.files.writing import claim
+from mgsgraph.files.writing import claim, writing_to
 from mgsgraph.project.changes import solve_case
 from mgsgraph.results.results import AS_WRITTEN, Overrides, write_results
 from mgsgraph.results.verdict import reason_sentences
@@ -52,6 +52,8 @@ FORMAT = 2
 _HEAD = json.dumps({"program": "mgsgraph", "record": "campaign", "format": FORMAT}).encode()
 _SIGNED = re.compile(rb'(.*),"crc32":"([0-9a-f]{8})"\}', re.DOTALL)
 """A line, and the CRC-32 of what stands before it."""
+_ELSEWHERE, _MEND = "choose another --out", "take it away"
+_writing = partial(writing_to, remedy="choose another --out, where you may write")
 
 
 class CampaignEntry(msgspec.Struct, frozen=True):
@@ -129,28 +131,24 @@ def open_record(folder: Path) -> Record:
         or a place where nothing can be written.
     """
     path = folder / RECORD
-    try:
+    with _writing(path):
         _require_ours(folder, path)
         folder.mkdir(parents=True, exist_ok=True)
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
-    except OSError as error:
-        raise _refusal(path, error) from None
     record = Record(path, descriptor)
     try:
-        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-            raise InputError(str(path), "is no file", "the record of a campaign", "choose another --out")
-        claim(descriptor, path, "another campaign is writing here")
-        text = os.read(descriptor, os.fstat(descriptor).st_size)
-        whole = text.rfind(b"\n") + 1
-        os.ftruncate(descriptor, whole)
-        lines = text[:whole].split(b"\n")[:-1]
-        record._new = not lines
-        if not lines:
-            _append(descriptor, _HEAD + b"\n", path)
-        record.entries.update((entry.case, entry) for entry in _entries(lines, path))
-    except OSError as error:
-        os.close(descriptor)
-        raise _refusal(path, error) from None
+        with _writing(path):
+            is_file = stat.S_ISREG(os.fstat(descriptor).st_mode)
+            require(is_file, str(path), "is no file", "the record of a campaign", _ELSEWHERE)
+            claim(descriptor, path, "another campaign is writing here")
+            text = os.read(descriptor, os.fstat(descriptor).st_size)
+            whole = text.rfind(b"\n") + 1
+            os.ftruncate(descriptor, whole)
+            lines = text[:whole].split(b"\n")[:-1]
+            record._new = not lines
+            if not lines:
+                _append(descriptor, _HEAD + b"\n", path)
+            record.entries.update((entry.case, entry) for entry in _entries(lines, path))
     except BaseException:
         os.close(descriptor)
         raise
@@ -158,31 +156,30 @@ def open_record(folder: Path) -> Record:
 
 
 def _require_ours(folder: Path, path: Path) -> None:
-    if folder.exists() and not folder.is_dir():
-        raise InputError(str(folder), "exists and is a file", "a folder for the results", "choose another --out")
-    if folder.is_dir() and not path.exists() and any(folder.iterdir()):
-        found, expected = f"exists, and has no {RECORD}", "an absent or empty folder, or an earlier campaign"
-        raise InputError(str(folder), found, expected, "choose another --out")
+    is_other = folder.exists() and not folder.is_dir()
+    require(not is_other, str(folder), "exists and is a file", "a folder for the results", _ELSEWHERE)
+    is_foreign = folder.is_dir() and not path.exists() and any(folder.iterdir())
+    found, expected = f"exists, and has no {RECORD}", "an absent or empty folder, or an earlier campaign"
+    require(not is_foreign, str(folder), found, expected, _ELSEWHERE)
 
 
 def _append(descriptor: int, line: bytes, path: Path) -> None:
     size = os.fstat(descriptor).st_size
+    full, remedy = "can't be written (the disk is full)", "free some space, and run this again"
     try:
-        written = os.write(descriptor, line)
-        os.fsync(descriptor)
-    except OSError as error:
+        with _writing(path):
+            written = os.write(descriptor, line)
+            os.fsync(descriptor)
+        require(written == len(line), str(path), full, remedy=remedy)
+    except InputError:
         os.ftruncate(descriptor, size)
-        raise _refusal(path, error) from None
-    if written < len(line):
-        os.ftruncate(descriptor, size)
-        raise InputError(str(path), "can't be written (the disk is full)", remedy="free some space, and run this again")
+        raise
 
 
 def _entries(lines: list[bytes], path: Path) -> list[CampaignEntry]:
     """Entries of the lines of a record after its head."""
-    where = f"{path}, line 1"
-    if lines and lines[0] != _HEAD:
-        raise InputError(where, "no head of a campaign's record", _HEAD.decode(), "choose another --out")
+    is_ours = not lines or lines[0] == _HEAD
+    require(is_ours, f"{path}, line 1", "no head of a campaign's record", _HEAD.decode(), _ELSEWHERE)
     return [_entry(line, f"{path}, line {number}") for number, line in enumerate(lines[1:], start=2)]
 
 
@@ -197,15 +194,9 @@ def _entry(line: bytes, where: str) -> CampaignEntry:
         raise InputError(where, f"no entry of a campaign ({error})", remedy=remedy) from None
 
 
-def _refusal(path: Path, error: OSError) -> InputError:
-    remedy = "choose another --out, where you may write"
-    return InputError(str(path), f"can't be written ({error.strerror or error})", remedy=remedy)
-
-
 Progress = Callable[[int, int, CampaignEntry | None], None]
 """Called with the number of cases that are over, of all that are due, and the one just over (None at first)."""
 SUFFIX = ".toml"
-_ELSEWHERE, _MEND = "choose another --out", "take it away"
 _PLAIN = "case"
 """Stem of a case file that says nothing; its folder's name is taken instead."""
 _BESIDE = {".lbl", ".img", ".imq", ".cub", ".pvl", ".isd", ".json"}
@@ -311,19 +302,17 @@ def _listed(kernel: Path) -> list[Path]:
     from mgsgraph.files.labels.kernels import members  # SPICE takes its time to load
 
     here, path = Path.cwd(), kernel.absolute()
-    try:
+    with suppress(InputError):  # reading the case will say what is wrong
         found = read_apart(lambda: members(path, here), str(kernel), "a SPICE kernel", "fetch it again")
         return [member for member in found if member != path]
-    except InputError:
-        return []  # reading the case will say what is wrong
+    return []
 
 
 def _checksum(path: Path) -> str | None:
-    try:
+    with suppress(OSError, InputError):
         state = path.stat()
         return _of_content(path.resolve(), state.st_size, state.st_mtime_ns)
-    except (OSError, InputError):
-        return None
+    return None
 
 
 @cache

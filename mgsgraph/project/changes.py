@@ -242,27 +242,31 @@ def store_unadjusted(store: ProjectStore, addition: Addition) -> None:
     old_definitions = store.definitions()
     new_definitions = extended(store, old_definitions, addition.definitions, [new.known for new in addition.images])
     turned_members = turned_bundles(store, old_definitions, new_definitions)
-    store.set_definitions(new_definitions)
-    replace_unadjusted(store, *with_addition(store, network, new_definitions, turned_members))
+    replace_unadjusted(store, new_definitions, *with_addition(store, network, new_definitions, turned_members))
 
 
 def _remove_unadjusted(store: ProjectStore, images: Sequence[str]) -> None:
     old_definitions = store.definitions()
     new_definitions = shortened(store, old_definitions, images)
     changed_bundles = without(store, images, new_definitions, turned_bundles(store, old_definitions, new_definitions))
-    store.set_definitions(new_definitions)
-    replace_unadjusted(store, *changed_bundles)
-    for name in images:
-        store.drop_image(name)
+    replace_unadjusted(store, new_definitions, *changed_bundles, images)
 
 
-def replace_unadjusted(store: ProjectStore, replaced: Sequence[Members], networks: Mapping[Members, Network]) -> None:
-    """Replace bundles (`replaced`) by others that are not adjusted yet."""
+def replace_unadjusted(
+    store: ProjectStore, definitions: Definitions, replaced: Sequence[Members], networks: Mapping[Members, Network],
+    removed: Sequence[str] = (),
+) -> None:  # fmt: skip
+    """Replace bundles (`replaced`) by others that are not adjusted yet, and definitions by those that they are of.
+    Images that are `removed` go.
+    """
+    store.set_definitions(definitions)
     unadjusted = dict[Members, Bundle]()
     for members, network in networks.items():
         size = len(network.points)
         unadjusted[members] = Bundle(network, None, np.full((size, 3), np.nan), np.full((size, 3, 3), np.nan))
     store.replace(replaced, unadjusted)
+    for name in removed:
+        store.drop_image(name)
 
 
 def apply_content(
@@ -279,10 +283,7 @@ def apply_content(
         store.add_image(known)
     turned = turned_bundles(store, store.definitions(), definitions)
     bundles = with_points(store, points, network, definitions, turned)
-    store.set_definitions(definitions)
-    replace_unadjusted(store, *bundles)
-    for name in removed:
-        store.drop_image(name)
+    replace_unadjusted(store, definitions, *bundles, removed)
     return None
 
 

@@ -91,9 +91,8 @@ def measure(project: Project, point: str, places: Sequence[Measure], why: str = 
     default_sigma = project.settings.measures.tie_sigma_px * project.settings.measures.tie_sigma_factor
     new_rays = tuple(_with_sigma(ray, default_sigma) for ray in places)
     images = [ray.image for ray in new_rays]
-    if not new_rays or len(set(images)) < len(images):
-        found = "no place" if not new_rays else "two places in one image"
-        raise InputError(f"point {point}", found, "one place in each image that shows it")
+    found, expected = "two places in one image" if new_rays else "no place", "one place in each image that shows it"
+    require(new_rays and len(set(images)) == len(images), f"point {point}", found, expected)
     for ray in new_rays:
         _require_inside(project, point, ray)
     before = point_state(project, point)
@@ -208,8 +207,7 @@ def hold(project: Project, point: str, place: Array, sigmas: Array, why: str = "
     sigmas : (3,)
         m, east, north and up; all 0: fixed.
     """
-    before = _existing_state(project, point)
-    _require_tie(before, point)
+    before = _existing_tie(project, point)
     if not (np.all(np.isfinite(place)) and np.all(np.isfinite(sigmas)) and np.all(sigmas >= 0.0)):
         raise InputError(f"point {point}", f"place {place}, sigmas {sigmas}", "finite numbers, sigmas not negative")
     if np.any(sigmas == 0.0) and not np.all(sigmas == 0.0):
@@ -232,8 +230,7 @@ def hold(project: Project, point: str, place: Array, sigmas: Array, why: str = "
 
 def release(project: Project, point: str, why: str = "") -> Changed:
     """Make a control point a tie point again, on the terrain model if the project has one at this position."""
-    before = _existing_state(project, point)
-    _require_tie(before, point)
+    before = _existing_tie(project, point)
     require(before.kind != PointKind.FREE, f"point {point}", "not held", "a point with a known place")
     free = msgspec.structs.replace(
         before, class_=int(PointClass.TIE), kind=int(PointKind.FREE), place=None, covariance=(0.0,) * 9
@@ -243,8 +240,7 @@ def release(project: Project, point: str, why: str = "") -> Changed:
 
 def remove_point(project: Project, point: str, why: str = "") -> Changed:
     """Remove a tie or control point with all its measurements."""
-    before = _existing_state(project, point)
-    _require_tie(before, point)
+    _existing_tie(project, point)
     network = network_of_points(project.store, [point])
     if network is not None and _has_range_or_surface(network):
         found, remedy = "a laser range or a stereo surface holds it", "reject its image measures instead"
@@ -320,10 +316,12 @@ def _has_range_or_surface(network: Network) -> bool:
     return bool(network.ranges.point.size) or is_on_surface
 
 
-def _require_tie(state: PointState, point: str) -> None:
-    if state.class_ not in (PointClass.TIE, PointClass.CONTROL):
-        found = "a laser shot" if state.class_ == PointClass.LASER else "a post of a terrain model"
-        raise InputError(f"point {point}", found, "a tie or control point", "reject its image measures instead")
+def _existing_tie(project: Project, point: str) -> PointState:
+    known_state = _existing_state(project, point)
+    found = "a laser shot" if known_state.class_ == PointClass.LASER else "a post of a terrain model"
+    expected, remedy = "a tie or control point", "reject its image measures instead"
+    require(known_state.class_ in (PointClass.TIE, PointClass.CONTROL), f"point {point}", found, expected, remedy)
+    return known_state
 
 
 def _existing_state(project: Project, point: str) -> PointState:
@@ -350,14 +348,12 @@ def _with_sigma(ray: Measure, default_sigma: float) -> Measure:
 
 
 def _require_inside(project: Project, point: str, ray: Measure) -> None:
-    if ray.image not in set(project.store.image_names()):
-        some_names = ", ".join(project.store.image_names()[:4])
-        raise InputError(f"point {point}, image {ray.image}", "no such image", f"one of the project's ({some_names})")
+    where, names = f"point {point}, image {ray.image}", project.store.image_names()
+    require(ray.image in names, where, "no such image", f"one of the project's ({', '.join(names[:4])})")
     image = project.store.image(ray.image).image
-    if not (0.0 <= ray.line <= image.lines and 0.0 <= ray.sample <= image.samples):
-        found = f"line {ray.line:g}, sample {ray.sample:g}"
-        expected = f"lines 0 to {image.lines}, samples 0 to {image.samples}"
-        raise InputError(f"point {point}, image {ray.image}", found, expected)
+    found = f"line {ray.line:g}, sample {ray.sample:g}"
+    expected = f"lines 0 to {image.lines}, samples 0 to {image.samples}"
+    require(0.0 <= ray.line <= image.lines and 0.0 <= ray.sample <= image.samples, where, found, expected)
 
 
 def _require_name(point: str) -> None:

@@ -381,7 +381,7 @@ class Project(Record):
         """Record an incremental solution that contains the last change; its number."""
         (points,) = self._connection.execute("SELECT coalesce(sum(points), 0) FROM bundle").fetchone()
         images = len(self.store.image_names())
-        return self._insert_solution((converged, message, None, None, None, images, points, None, "incremental"))
+        return self._insert_solution(converged, message, None, None, None, images, points, None, "incremental")
 
     def keep_solution(self, solution: "Solution", write: Callable[[Path], object]) -> Path:
         """Write a batch solution's products to a new folder by the function `write`, and record it; the folder."""
@@ -397,13 +397,11 @@ class Project(Record):
         """Record a batch solution and the folder of its products, if any; its number."""
         network = solution.network
         return self._insert_solution(
-            (
-                solution.converged, solution.message, solution.cost_final, solution.sigma0,
-                solution.fit.degrees_of_freedom, len(network.images), len(network.points), folder, "batch",
-            )
+            solution.converged, solution.message, solution.cost_final, solution.sigma0,
+            solution.fit.degrees_of_freedom, len(network.images), len(network.points), folder, "batch",
         )  # fmt: skip
 
-    def _insert_solution(self, values: tuple[object, ...]) -> int:
+    def _insert_solution(self, *values: object) -> int:
         cursor = self._connection.execute(
             "INSERT INTO solution (change, at, converged, message, cost, sigma0, degrees_of_freedom, images, points, "
             "folder, kind) SELECT coalesce(max(number), 0), ?, ?, ?, ?, ?, ?, ?, ?, ?, ? FROM change",

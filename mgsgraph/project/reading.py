@@ -211,9 +211,8 @@ def _is_project(path: Path) -> bool:
     """Whether it is the folder of a project; InputError for a folder with neither a project nor results."""
     if not path.is_dir():
         return False
-    if not (path / PROJECT).exists() and not (path / ARCHIVE).exists():
-        found = f"a folder with neither {ARCHIVE} nor {PROJECT}"
-        raise InputError(str(path), found, "results of `mgsgraph adjust`, or a project")
+    found, expected = f"a folder with neither {ARCHIVE} nor {PROJECT}", "results of `mgsgraph adjust`, or a project"
+    require((path / PROJECT).exists() or (path / ARCHIVE).exists(), str(path), found, expected)
     return (path / PROJECT).exists()
 
 
@@ -221,9 +220,8 @@ def _adjusted(project: Project, where: str) -> "IncrementalAdjustment":
     """The incremental adjustment of a project; InputError for a project that was never solved."""
     from mgsgraph.project.changes import incremental, is_solved
 
-    if not project.store.image_names() or not is_solved(project):
-        solve = command_line("project", "solve", where)
-        raise InputError(where, "a project without a solution", "an adjusted one", solve)
+    found, solve = "a project without a solution", command_line("project", "solve", where)
+    require(project.store.image_names() and is_solved(project), where, found, "an adjusted one", solve)
     return incremental(project)
 
 

@@ -3,7 +3,7 @@
 import json
 import sqlite3
 from collections import OrderedDict
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any
@@ -179,25 +179,32 @@ class ProjectStore:
         number, points, rays, ranges, terrain, shift_sigma, stays, areoid, *reduced = row
         surface = None if terrain is None else (self._grids.record(terrain, TerrainGrid), shift_sigma)
         names, numbers = self._images_of(number)
-        points_read, places = self._cells.points(number), {number: np.arange(len(names))}
-        known = [self.image(name) for name in names]
-        network = Network(
-            *image_columns(known),
-            points_read.points,
-            ImageRays(*self._cells.rows("rays", number, points_read.runs, places)),
-            Ranges(*self._cells.rows("ranges", number, points_read.runs, places)),
-            self._shifts(points_read),
-            _surface(surface, points_read),
+        network, points_read = self._network_of(
+            number, names, numbers, {number: np.arange(len(names))}, surface,
             None if areoid is None else self._grids.record(areoid, TerrainGrid),
-            stereo=self._grids.stereo_control(number, points_read.runs, numbers, points_read.places),
-        ).considering([*self._considered_profiles, *([TERRAIN] if stays else [])])
-        network = with_definitions(network, self.definitions())
+            [*self._considered_profiles, *([TERRAIN] if stays else [])],
+        )  # fmt: skip
         self._require(
             (points, rays, ranges) == (len(points_read.points), network.rays.point.size, network.ranges.point.size),
             f"a bundle of other points or measures than it says ({_text(members)})",
         )
         system = None if reduced[0] is None else _reduced(_members(reduced[0]), *reduced[1:])
         return Bundle(network, system, points_read.places, points_read.covariances)
+
+    def _network_of(
+        self, bundle: int | None, names: Sequence[str], numbers: Index, images: Mapping[int, Index],
+        terrain: tuple[TerrainGrid, float] | None, areoid: TerrainGrid | None, considered: Sequence[str],
+    ) -> tuple[Network, StoredPoints]:  # fmt: skip
+        """Network and stored points of one bundle, or of all; `images` are places in `names`, for each bundle."""
+        points = self._cells.points(bundle)
+        rays, ranges = (self._cells.rows(kind, bundle, points.runs, images) for kind in ("rays", "ranges"))
+        surface = None if terrain is None else Surface(terrain[0], points.surface_sigmas, terrain[1])
+        network = Network(
+            *image_columns([self.image(name) for name in names]), points.points, ImageRays(*rays), Ranges(*ranges),
+            self._shifts(points), surface, areoid,
+            stereo=self._grids.stereo_control(bundle, points.runs, numbers, points.places),
+        ).considering(considered)  # fmt: skip
+        return with_definitions(network, self.definitions()), points
 
     def replace(self, removed: Iterable[Members], new: Bundles) -> None:
         """Delete bundles (`removed`) and store new ones."""
@@ -271,19 +278,10 @@ class ProjectStore:
     def as_network(self) -> tuple[Network, Array]:
         """The same network, and the adjusted positions (n, 3) in m of its points, NaN where undetermined."""
         names = self.image_names()
-        numbers, known = self._numbers_of(tuple(names)), [self.image(name) for name in names]
-        points_read, images = self._cells.points(None), self._images_by_bundle(numbers)
-        network = Network(
-            *image_columns(known),
-            points_read.points,
-            ImageRays(*self._cells.rows("rays", None, points_read.runs, images)),
-            Ranges(*self._cells.rows("ranges", None, points_read.runs, images)),
-            self._shifts(points_read),
-            _surface(self.terrain, points_read),
-            self.areoid,
-            stereo=self._grids.stereo_control(None, points_read.runs, numbers, points_read.places),
-        ).considering(self.considered)
-        return with_definitions(network, self.definitions()), points_read.places
+        numbers = self._numbers_of(tuple(names))
+        images = self._images_by_bundle(numbers)
+        network, points = self._network_of(None, names, numbers, images, self.terrain, self.areoid, self.considered)
+        return network, points.places
 
     @property
     def considered(self) -> list[str]:
@@ -423,10 +421,6 @@ def _members(text: str) -> Members:
     if not all(isinstance(word, str) for unknown in members for word in unknown):
         raise ValueError("an unknown that is no pair of names")
     return members
-
-
-def _surface(terrain: tuple[TerrainGrid, float] | None, points_read: StoredPoints) -> Surface | None:
-    return None if terrain is None else Surface(terrain[0], points_read.surface_sigmas, terrain[1])
 
 
 def _float64(blob: bytes) -> Array:

@@ -11,7 +11,7 @@ covariances decide.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import count
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -45,9 +45,6 @@ from mgsgraph.registration.relief_surfaces import AveragedPair, Cells, cells_of,
 from mgsgraph.registration.search import Expected, StereoPair, search
 from mgsgraph.text import some
 from mgsgraph.workers import Progress, no_progress
-
-if TYPE_CHECKING:
-    pass
 
 _LEAST_SHOTS = 12
 """On the surface, that make a profile one that can be registered."""

@@ -1,13 +1,12 @@
 """Pictures of the simulated ground as a pushbroom camera takes them: Lambert's law, uneven soil, noise."""
 
-import os
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mgsgraph.compiled import in_threads
 from mgsgraph.errors import InputError, require
 from mgsgraph.geometry.body import from_planetocentric, planetocentric
 from mgsgraph.geometry.image import PushbroomImage
@@ -54,19 +53,17 @@ def render(
     require(height_of_sun > 0.0, f"picture of {image.name}", "the Sun below the horizon", "a Sun above it")
     gain = np.float32(_LEVEL / height_of_sun)
     picture = np.empty((image.lines, image.samples), dtype=np.uint8)
+    noise = rng.spawn(points.shape[0] - 1)  # of each block its own
 
-    def expose(block: int, noise: np.random.Generator) -> None:
+    def expose(block: int) -> None:
         part = picture[block * between : (block + 1) * between]
         sun = local_sun(points[block, points.shape[1] // 2], terrain, sun_direction)
         east, north = _ground_of_pixels(terrain, [layer[block : block + 2] for layer in far], part.shape, between)
         grey = _DARK + gain * np.maximum(_shade(east, north, terrain, sun), np.float32(0.0))
-        grey += NOISE * noise.standard_normal(part.shape, dtype=np.float32)
+        grey += NOISE * noise[block].standard_normal(part.shape, dtype=np.float32)
         part[:] = np.rint(np.clip(grey, 0.0, 255.0))
 
-    blocks = points.shape[0] - 1
-    with ThreadPoolExecutor(os.cpu_count()) as pool:  # numpy lets go of the interpreter; each block has its own noise
-        for _ in pool.map(expose, range(blocks), rng.spawn(blocks)):
-            pass
+    in_threads(expose, range(len(noise)))
     return picture
 
 

@@ -370,9 +370,8 @@ def _ground_returns(pixels: Array, image: PushbroomImage, settings: ImageSetting
     size = np.array([image.lines, image.samples])
     inside = np.flatnonzero(np.all((pixels >= 0.0) & (pixels <= size), axis=1))
     without = inside.size - settings.shots
-    if without < 0:
-        found = f"{inside.size} shots inside {settings.name}"
-        raise InputError(SOURCE, found, f"at least the published {settings.shots}")
+    found = f"{inside.size} shots inside {settings.name}"
+    require(without >= 0, SOURCE, found, f"at least the published {settings.shots}")
     ends = min(_EDGE_SHOTS, without // 2)
     ground = np.ones(pixels.shape[0], dtype=np.bool_)
     ground[max(inside[0] - _EDGE_SHOTS, 0) : inside[0] + ends] = False

@@ -21,7 +21,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from mgsgraph.analysis.places import terrain_slopes
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.geometry.body import east_north_up, ellipsoidal_heights, error_ellipses, geodetic, planetocentric
 from mgsgraph.geometry.intersection import meet_terrain
 from mgsgraph.geometry.orientation import OrientationCorrection
@@ -247,9 +247,8 @@ class LinkedImages:
         picture = self.block.images[number]
         size = np.array([picture.lines, picture.samples])
         place = np.array([line, sample])
-        if not (np.all(np.isfinite(place)) and np.all(np.abs(place / size - 0.5) <= 1.0)):
-            inside = f"a place in its {picture.lines} x {picture.samples} pixels"
-            raise InputError(f"image {image}", f"line {line:g}, sample {sample:g}", inside)
+        found, expected = f"line {line:g}, sample {sample:g}", f"a place in its {size[0]} x {size[1]} pixels"
+        require(np.all(np.abs(place / size - 0.5) <= 1.0), f"image {image}", found, expected)
         ground = self.ground.under(number, line, sample)
         numbers = {self.block.network.image_number(name) for name in required} - {number}
         candidates = [j for j in self._candidates(ground.point) if j != number]

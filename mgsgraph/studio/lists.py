@@ -23,7 +23,8 @@ from mgsgraph.matching.chips import chip_frames, likeness, misfit_beside_neighbo
 from mgsgraph.matching.scene import Pixels
 from mgsgraph.names import Names, RepeatedNames
 from mgsgraph.network import PointClass
-from mgsgraph.project.project import open_project
+from mgsgraph.project.decisions import Measure
+from mgsgraph.project.project import open_project, rejected_measurements
 from mgsgraph.studio.inputs import number_of
 from mgsgraph.studio.map_points import CLASSES, largest, map_points, ray_residuals, ray_tests
 from mgsgraph.studio.marks import laser_profiles
@@ -76,13 +77,13 @@ def listed_rays(opened: Opened) -> ListedRays:
         network, solution, rays = block.network, opened.now.solution, block.network.rays
         blunders = rays.rejected if solution is None else solution.rays_rejected
         state = np.where(block.used, 0, 1 if blunders is None else np.where(blunders, 3, 1))
-        names = tuple(dict.fromkeys([*network.image_names, *(image for _, image, *_ in by_hand)]))
+        names = tuple(dict.fromkeys([*network.image_names, *(measure.image for _, measure in by_hand)]))
         ids, points, others = network.points.ids, rays.point, no_rows()
         if by_hand:
-            ids, (numbers, others) = Names.united([ids, Names.of([name for name, *_ in by_hand])])
+            ids, (numbers, others) = Names.united([ids, Names.of([name for name, _ in by_hand])])
             points = numbers[points]
-        images = RepeatedNames.of([image for _, image, *_ in by_hand]).over(names)
-        places = np.array([place for *_, place in by_hand]).reshape(-1, 2)
+        images = RepeatedNames.of([measure.image for _, measure in by_hand]).over(names)
+        places = np.array([(measure.line, measure.sample) for _, measure in by_hand]).reshape(-1, 2)
         return ListedRays(
             ids, names, np.concatenate([points, others]), np.concatenate([rays.image, images]),
             np.concatenate([rays.places, places]), np.concatenate([state, np.full(len(by_hand), _REJECTED)]),
@@ -91,16 +92,12 @@ def listed_rays(opened: Opened) -> ListedRays:
     return opened.once("listed rays", make)
 
 
-def _rejected_by_hand(opened: Opened) -> list[tuple[str, str, tuple[float, float]]]:
-    """Point, image, line and sample of each measurement that users have rejected."""
+def _rejected_by_hand(opened: Opened) -> list[tuple[str, Measure]]:
+    """Point and image measurement of all that users have rejected."""
     if opened.kind != "project":
         return []
     with open_project(opened.path) as project:
-        images, decisions = set(project.store.image_names()), project.standing_decisions()
-    return [
-        (point, image, (measure.line, measure.sample))
-        for point, of in decisions.items() for image, measure in of.rejected.items() if image in images
-    ]  # fmt: skip
+        return rejected_measurements(project)
 
 
 # --- columns that take long

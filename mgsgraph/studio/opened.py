@@ -94,10 +94,9 @@ class Block:
         """A block that has not been adjusted: nominal orientation, a-priori places and sigmas."""
 
         def prior() -> JointCovariance | None:
-            try:
+            with suppress(MgsgraphError):  # what can't be laid out has no covariance; its adjustment will say why
                 return prior_covariance(lay_out(network, settings))
-            except MgsgraphError:  # what can't be laid out has no covariance; its adjustment will say why
-                return None
+            return None
 
         return cls(
             network, settings, None, network.images, (None,) * len(network.images), network.points.places,

@@ -311,9 +311,8 @@ def next_measures(opened: Opened, linked: LinkedImages) -> dict[str, Any]:
         A large block; one that has not been adjusted; one without ground that two images see.
     """
     block = opened.block()
-    if len(block.images) > MOST_PLANNED:
-        remedy = "mgsgraph plan RESULT CANDIDATES.toml judges your own"
-        raise InputError(str(opened.path), f"{len(block.images)} images", f"up to {MOST_PLANNED} here", remedy)
+    count, remedy = len(block.images), "mgsgraph plan RESULT CANDIDATES.toml judges your own"
+    require(count <= MOST_PLANNED, str(opened.path), f"{count} images", f"up to {MOST_PLANNED} here", remedy)
     _, state, _ = read_state(opened.path)
     coverage = ImageCoverage(state)
     places = _apart(_grid(linked), opened)

@@ -195,9 +195,13 @@ def routes(opened: Opened, views: Views, lock: EditLock, work: Work) -> list[Rou
         "/api/scene": lambda _: scene_record(opened),
         **_map(opened, views),
         **_images(opened, views),
-        **_lists(opened),
         **_points(opened, views),
-        **_start(opened, work),
+        "/api/list": lambda request: window(opened, request.query_params),
+        "/api/list/compute": lambda request: compute(opened, request.query_params.get("group", "")),
+        "/api/list/csv": lambda request: Response(csv_of(opened, request.query_params), media_type="text/csv"),
+        "/api/verdict": lambda _: opened.once("verdict", lambda: verdict_record(opened)),
+        "/api/worst": lambda _: opened.once("worst", lambda: worst_record(opened)),
+        "/api/work/files": lambda _: work.files(),
     }
     posting: _Posting = {**_asked(opened, views), **_changing(opened, lock, work)}
     return [
@@ -297,14 +301,6 @@ def _images(opened: Opened, views: Views) -> _Getting:
     }
 
 
-def _lists(opened: Opened) -> _Getting:
-    return {
-        "/api/list": lambda request: window(opened, request.query_params),
-        "/api/list/compute": lambda request: compute(opened, request.query_params.get("group", "")),
-        "/api/list/csv": lambda request: Response(csv_of(opened, request.query_params), media_type="text/csv"),
-    }
-
-
 def _points(opened: Opened, views: Views) -> _Getting:
     def picture(request: Request) -> Any:
         query = request.query_params
@@ -321,14 +317,6 @@ def _points(opened: Opened, views: Views) -> _Getting:
         "/api/point/correlations": lambda request: correlations(opened, _name(request)),
         "/api/chip.png": picture,
         "/api/plan": lambda _: opened.once("next measures", lambda: next_measures(opened, views.linked)),
-    }
-
-
-def _start(opened: Opened, work: Work) -> _Getting:
-    return {
-        "/api/verdict": lambda _: opened.once("verdict", lambda: verdict_record(opened)),
-        "/api/worst": lambda _: opened.once("worst", lambda: worst_record(opened)),
-        "/api/work/files": lambda _: work.files(),
     }
 
 

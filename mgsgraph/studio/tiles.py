@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.opening import ANY_SIZE, opened
 from mgsgraph.files.rasters.pictures import picture_size, read_picture, read_picture_part
 from mgsgraph.geometry.records import Array
@@ -131,9 +131,8 @@ class Pyramid:
 
     def require_unchanged(self) -> None:
         """Raise InputError where the file is gone or has been replaced."""
-        if stamp_of(self.path) != self.stamp:
-            remedy = "open the image again, or reload the page"
-            raise InputError(str(self.path), "it has changed since its picture was opened", "the same file", remedy)
+        found, remedy = "it has changed since its picture was opened", "open the image again, or reload the page"
+        require(stamp_of(self.path) == self.stamp, str(self.path), found, "the same file", remedy)
 
 
 def open_picture(path: Path, lines: int, samples: int) -> Pyramid:
@@ -153,9 +152,8 @@ def open_picture(path: Path, lines: int, samples: int) -> Pyramid:
     """
     stamp = stamp_of(path)
     size = picture_size(path)
-    if size != (lines, samples):
-        remedy = "name the image's own, uncropped file in the case"
-        raise InputError(str(path), f"{size[0]} x {size[1]} pixels", f"the image's {lines} x {samples}", remedy)
+    found, expected = f"{size[0]} x {size[1]} pixels", f"the image's {lines} x {samples}"
+    require(size == (lines, samples), str(path), found, expected, "name the image's own, uncropped file in the case")
     finest = 0
     while (-(-lines >> finest)) * (-(-samples >> finest)) > _KEPT:
         finest += 1

@@ -32,7 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.analysis.posterior import Posterior
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.rasters.raster_file import equal_area_crs, wkt2
 from mgsgraph.geometry.body import Ellipsoid, east_north_up, from_planetocentric, planetocentric
 from mgsgraph.geometry.records import Array, Index, all_pairs
@@ -193,9 +193,8 @@ def orientation_nodes(posterior: Posterior, scene: Scene, matched: "DenseMatches
     both = [np.stack(part, axis=1).reshape(-1, 2) for part in zip(*rays, strict=True)]
     lattice = ImageRays(np.repeat(np.arange(count), 2), np.tile(number, count), *both)
     covariances = posterior.intersections(lattice)[1].reshape(lines.size, samples.size, 3, 3)
-    if not np.all(np.isfinite(covariances)):
-        names = f"images {first.image.name} and {second.image.name}"
-        raise InputError(names, "rays that don't meet as they were adjusted", "images of common ground")
+    names, found = f"images {first.image.name} and {second.image.name}", "rays that don't meet as they were adjusted"
+    require(np.all(np.isfinite(covariances)), names, found, "images of common ground")
     return OrientationNodes(lines, samples, covariances)
 
 
@@ -299,9 +298,8 @@ class MapGrid(Record):
 
 
 def _require_few(rows: int, columns: int, post: float, most: int, what: str, option: str) -> None:
-    if rows * columns > most:
-        found = f"{rows} x {columns} posts every {post:g} m"
-        raise InputError(what, found, f"{most} at most", f"give a larger {option}")
+    found = f"{rows} x {columns} posts every {post:g} m"
+    require(rows * columns <= most, what, found, f"{most} at most", f"give a larger {option}")
 
 
 def bilinear(values: Array, pixels: Array) -> Array:
@@ -377,10 +375,9 @@ def gridded(
     bands = [height, matching, orientation, np.nan_to_num(count).astype(np.int32)]
     middle = slice(parts // 2, None, parts)
     height, matching, orientation, count = (np.ascontiguousarray(band[middle, middle]) for band in bands)
-    if not np.any(count):
-        few = f"{len(points)} points, nowhere several around a post"
-        where = f"terrain model with posts every {grid.post:g} m"
-        raise InputError(where, few, "points on all sides", "give a smaller --post, or images that match better")
+    few = f"{len(points)} points, nowhere several around a post"
+    where = f"terrain model with posts every {grid.post:g} m"
+    require(np.any(count), where, few, "points on all sides", "give a smaller --post, or images that match better")
     return HeightGrid(grid, height, matching, orientation, count)
 
 
