@@ -180,7 +180,8 @@ class RayConstants:
         """Constants of the rays `k` of an image, whose looks by errors in common are `common`, by as many factors each,
         in the order in which `kernel.tile.load_observation` takes them.
         """
-        angles, image, (measured, samples) = self._model.angles, self._network.images[j], self._network.rays.places[k].T
+        angles, image, places = self._model.angles, self._network.images[j], self._network.rays.places
+        measured, samples = places.take(k, axis=0).T  # indexing takes four times as long
         lines, predicted, pixels = terms.lines[k], self._model.line == PREDICTED, self._pixels(j, samples)
         moments = image.moments(lines)
         pose = image.trajectory.pose(moments.times).in_axes(self._axes[j])
@@ -195,7 +196,7 @@ class RayConstants:
         elif np.isnan(self._patterns.slopes[j, 0]):
             bent = self.effects.bends(j)
             form.append(self.effects.slopes(j, samples, values) if bent else pixels.slope)
-        basis = terms.basis(j, moments, terms.of_rays[k], predicted)
+        basis = terms.basis(j, moments, terms.of_rays[k if self._network.passes else k[:0]], predicted)
         effects = self.effects.of_rays(j, moments.u, samples, common).reshape(k.size, -1)
         (begin, step), first = constants_of(k, self._table), 0
         for part in (*form, *basis, effects):
