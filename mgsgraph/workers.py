@@ -56,6 +56,7 @@ def read_apart(reading: Callable[[], _Found], where: str, what: str, remedy: str
             process = os.fork()
         if process == 0:
             try:
+                os.close(receiver)  # else its own end would keep it waiting for a reader when this process is killed
                 faulthandler.disable()
                 _answer(reading, sender, str(folder) if litters else os.curdir)
                 os._exit(0)

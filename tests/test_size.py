@@ -32,9 +32,9 @@ CEILINGS = {
     "kernel": (2748, 47291, 15),
     "geometry": (2907, 48952, 18),
     "factors": (853, 13874, 18),
-    "single files": (935, 11415, 10),
+    "single files": (936, 11423, 10),
     "scripts": (7001, 112187, 51),
-    "tests": (39676, 602369, 222),
+    "tests": (39699, 602515, 222),
     "docs": (157, 1791, 4),
 }  # fmt: skip
 """Room: lines of code, nodes, files."""

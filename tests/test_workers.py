@@ -2,8 +2,10 @@
 
 import os
 import signal
+import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -61,6 +63,34 @@ def test_errors_come_as_they_are(error: Exception) -> None:
     assert fields == error.__dict__
     assert caught.value.args == error.args
     assert getattr(caught.value, "filename", None) == getattr(error, "filename", None)
+
+
+_LONG_ANSWER = """
+import os, sys, time
+from pathlib import Path
+from mgsgraph.workers import read_apart
+
+def reading():
+    Path(sys.argv[1]).write_text(f"{os.getpid()}\\n")
+    time.sleep(0.5)
+    return bytes(1 << 20)
+
+read_apart(reading, "here", "files", "look")
+"""
+
+
+def test_a_fork_ends_whose_process_was_killed(tmp_path: Path) -> None:
+    """Though its answer is longer than a pipe holds: nobody reads it any more. (Without /proc nothing is seen.)"""
+    said, begun = tmp_path / "fork", time.monotonic()
+    with subprocess.Popen([sys.executable, "-c", _LONG_ANSWER, str(said)]) as process:
+        while not (said.exists() and said.read_text().endswith("\n")):
+            assert time.monotonic() - begun < 30.0
+            time.sleep(0.01)
+        process.kill()
+    fork = Path(f"/proc/{said.read_text().strip()}")
+    while fork.exists():
+        assert time.monotonic() - begun < 60.0
+        time.sleep(0.05)
 
 
 def test_errors_say_where_in_the_fork_they_arose() -> None:
