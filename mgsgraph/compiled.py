@@ -18,6 +18,7 @@ from functools import cache, cached_property, update_wrapper
 from importlib.util import find_spec
 from inspect import signature
 from pathlib import Path
+from threading import Lock
 from typing import Any, TypeVar, cast
 
 from mgsgraph.atomic_write import lock
@@ -284,6 +285,9 @@ def _with_cache(function: Callable[..., Any], options: dict[str, Any]) -> Any:
     return kernel
 
 
+_one_at_a_time = Lock()
+
+
 def address_of(kernel: Any, arguments: dict[str, Any]) -> Any:
     """Where a kernel's machine code lies, compiled or loaded for arguments like those of its parameters' names, and for
     no others from then on, so that other kernels may call it without taking it in; the function itself where nothing
@@ -294,8 +298,10 @@ def address_of(kernel: Any, arguments: dict[str, Any]) -> Any:
     if not hasattr(kernel, "overloads"):
         return kernel
     kinds = tuple(typeof(arguments[name]) for name in signature(kernel.py_func).parameters)
-    kernel.compile(kinds)
-    kernel.disable_compile()
+    with _one_at_a_time:  # of threads that need it at once
+        if kinds not in kernel.overloads:
+            kernel.compile(kinds)
+            kernel.disable_compile()
     found = kernel.overloads[kinds]
     return found.library.get_pointer_to_function(found.fndesc.llvm_func_name)
 

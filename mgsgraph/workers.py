@@ -1,6 +1,5 @@
-"""A function called in a fork of this process, where a library may end with a damaged file, or for several at once:
-nothing is sent to it, and only what it returns comes back. And what a longer job is doing: progress callbacks, and wall
-time by stages.
+"""A function called in a fork of this process, where a library may end with a damaged file: nothing is sent to it, and
+only what it returns comes back. And what a longer job is doing: progress callbacks, and wall time by stages.
 """
 
 import faulthandler
@@ -28,9 +27,12 @@ _PROTOCOL = 5
 """Of pickle, the first that keeps read-only arrays read-only."""
 
 
-def read_apart(reading: Callable[[], _Found], where: str, what: str, remedy: str, litters: bool = True) -> _Found:
-    """What a function returns, called in a fork of this process. Where a system has no fork, or none that is safe once
-    Accelerate is loaded (macOS), it is called here.
+def read_apart(reading: Callable[[], _Found], where: str, what: str, remedy: str) -> _Found:
+    """What a function returns, called in a fork of this process that works in an empty folder of its own.
+
+    The fork is silent, and files that the library leaves in its working folder (as the Fortran below CSPICE does:
+    ``fort.N``) go with it. Paths must be absolute therefore. Where a system has
+    no fork, or none that is safe once Accelerate is loaded (macOS), the function is called here.
 
     Parameters
     ----------
@@ -38,9 +40,6 @@ def read_apart(reading: Callable[[], _Found], where: str, what: str, remedy: str
         Without arguments; returns records that can be pickled.
     where, what, remedy : str
         For the message when the fork ends by a signal: the file, what ended it, and what the user can do.
-    litters : bool
-        Whether a library leaves files in its working folder (as the Fortran below CSPICE does: ``fort.N``): the fork
-        works in an empty folder then, which goes with it, and paths must be absolute. It is silent in any case.
 
     Raises
     ------
@@ -58,7 +57,7 @@ def read_apart(reading: Callable[[], _Found], where: str, what: str, remedy: str
             try:
                 os.close(receiver)  # else its own end would keep it waiting for a reader when this process is killed
                 faulthandler.disable()
-                _answer(reading, sender, str(folder) if litters else os.curdir)
+                _answer(reading, sender, str(folder))
                 os._exit(0)
             finally:
                 os._exit(1)  # without any tidying up

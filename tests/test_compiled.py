@@ -59,6 +59,20 @@ def test_one_process_compiles_what_several_need(tmp_path: Path) -> None:
     assert len(bitcode) < 2000 < len(code)  # the latter alone is needed
 
 
+THREADS = """
+from concurrent.futures import ThreadPoolExecutor
+from mgsgraph.kernel.measurements import place_of_loop, range_rows
+with ThreadPoolExecutor(8) as pool:
+    print(len(set(pool.map(place_of_loop.__wrapped__, [range_rows] * 8))))
+"""
+
+
+def test_threads_that_need_a_kernel_at_once_find_the_same(tmp_path: Path) -> None:
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": os.pathsep.join(sys.path)}
+    done = subprocess.run([sys.executable, "-c", THREADS], env=environment, capture_output=True, text=True)
+    assert done.stdout.split() == ["1"], done.stderr
+
+
 @cached_kernel
 def inner(value):
     """Twice a number."""

@@ -23,7 +23,7 @@ CEILINGS = {
     "results": (4277, 64924, 35),
     "registration": (1685, 25890, 12),
     "planning": (874, 13648, 6),
-    "case": (2368, 36271, 12),
+    "case": (2360, 36132, 12),
     "analysis": (5045, 81315, 29),
     "adjustment": (7460, 113744, 43),
     "matching": (2107, 34915, 13),
@@ -32,9 +32,9 @@ CEILINGS = {
     "kernel": (2748, 47291, 15),
     "geometry": (2907, 48952, 18),
     "factors": (853, 13874, 18),
-    "single files": (936, 11423, 10),
+    "single files": (939, 11433, 10),
     "scripts": (7001, 112187, 51),
-    "tests": (39699, 602515, 222),
+    "tests": (39695, 602357, 222),
     "docs": (157, 1791, 4),
 }  # fmt: skip
 """Room: lines of code, nodes, files."""

@@ -11,7 +11,6 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
 from functools import cache
-from itertools import chain
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -21,7 +20,6 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.case.passes import mounted_images
 from mgsgraph.case.resection import resected_images
 from mgsgraph.case.schema import CaseInput, ImageInput, OrientationInput, SolverInput, SpiceInput
-from mgsgraph.compiled import in_threads
 from mgsgraph.errors import InputError, command_line, errors_from, require
 from mgsgraph.files.decoding import CASE_FILE, read_toml, validated
 from mgsgraph.files.kinds import ImageKind, Kind, image_kind, image_name, kind_of, listed_names, refuse_foreign_kinds
@@ -32,10 +30,7 @@ from mgsgraph.files.support_data.isd import read_isd
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.plausibility import require_distinct, require_plausible
 from mgsgraph.record import meanings
-from mgsgraph.workers import read_apart
 
-_TOGETHER = 250
-"""Files of images that a fork reads."""
 _FILES: tuple[ImageKind, ...] = ("isd", "state", "label", "cube")
 _OF_KINDS: dict[str, tuple[ImageKind, ...]] = {
     "kernels": ("label",), "constants": ("label",), "focal_length_m": ("label",), "attitude_bias_s": ("label",),
@@ -202,20 +197,9 @@ def image_of(tables: CaseInput, number: int, path: Path) -> PushbroomImage:
 
 
 def _with_files(tables: CaseInput, done: Collection[int], path: Path) -> dict[int, PushbroomImage]:
-    """Images whose orbit files say, by their numbers, but for those that are done. Many are read in several forks, as
-    reading keeps the interpreter busy.
-    """
+    """Images whose orbit files say, by their numbers, but for those that are done."""
     numbers = [j for j, entry in enumerate(tables.images) if j not in done and entry.resection is None]
-
-    def read(part: slice) -> list[PushbroomImage]:
-        return [image_of(tables, j, path) for j in numbers[part]]
-
-    if len(numbers) <= _TOGETHER:
-        return dict(zip(numbers, read(slice(None)), strict=True))
-    words = str(path), "files of images", "look for the file by `mgsgraph check`"
-    parts = [slice(first, first + _TOGETHER) for first in range(0, len(numbers), _TOGETHER)]
-    found = in_threads(lambda part: read_apart(lambda: read(part), *words, litters=False), parts)
-    return dict(zip(numbers, chain.from_iterable(found), strict=True))
+    return {j: image_of(tables, j, path) for j in numbers}
 
 
 def instruments(tables: CaseInput, path: Path) -> list[str]:

@@ -15,7 +15,6 @@ from msgspec import structs
 from outside import refuses
 
 import mgsgraph
-from mgsgraph.case import case_file as reader
 from mgsgraph.case.assembly import merged
 from mgsgraph.case.case_file import HEAD, decode, key_tables, keys_text, plain_image, read_image
 from mgsgraph.case.reading import picture_of
@@ -32,8 +31,6 @@ from mgsgraph.network.parts import known_images
 from mgsgraph.project.campaign import checksums
 from mgsgraph.project.settings import settings_of_case
 from mgsgraph.results.inventory import inventory
-from mgsgraph.simulation.archive import archive_settings, lay_out
-from mgsgraph.simulation.archive_files import write_archive
 from mgsgraph.units import MRAD
 
 Edit = Callable[[str], str]
@@ -173,25 +170,6 @@ def test_a_shot_outside_the_tables(case_file: Path) -> None:
     assert time
     lidar.write_text(text.replace(time[1], str(float(time[1]) + 1000.0), 1), encoding="utf-8")
     refuses(r"lidar\.json, laser shot .*image SIM/A: time .* outside the tables", mgsgraph.read_case, case_file)
-
-
-def test_many_images_are_read_in_several_processes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """To the same images, in their order; of files that can't be read the first one is named, as elsewhere."""
-    case, places = write_archive(lay_out(archive_settings("moc", 6, 100)), tmp_path), np.linspace(0.0, 500.0, 5)
-
-    def seen() -> list[object]:
-        images = mgsgraph.read_case(case).network.images
-        return [(image.name, image.remarks, *image.rays(places, places)) for image in images]
-
-    wanted, apart, forks = seen(), reader.read_apart, list[str]()
-    monkeypatch.setattr(reader, "read_apart", lambda *asked, **more: forks.append("") or apart(*asked, **more))
-    monkeypatch.setattr(reader, "_TOGETHER", 2)
-    np.testing.assert_equal(seen(), wanted)
-    assert len(forks) == 3
-    files = sorted(tmp_path.glob("isd/**/*.json"))
-    for path in files[2:4]:
-        path.write_text("{}", encoding="utf-8")
-    refuses(files[2].name, mgsgraph.read_case, case)
 
 
 # --- groups
