@@ -340,14 +340,13 @@ class Loops(NamedTuple):
 
 def loops_of(rows: Rows, model: Model) -> Loops:
     """The loops that observations (s,) of rows need, compiled or loaded."""
-    is_image = rows.observation_kind == IMAGE
-    kinds, widths = set(np.unique(rows.observation_kind).tolist()), rows.observation_width[is_image]
+    kinds, widths = rows.observation_kind, rows.observation_width
     image, interior = (_IMAGE_LOOPS[model.angles, model.line, interior] for interior in (False, True))
     used = {
-        image: bool((widths <= 6).any()), interior: bool((widths > 6).any()), range_rows: RANGE in kinds,
-        ground_rows: GROUND in kinds, surface_rows: SURFACE in kinds, stereo_rows: STEREO in kinds,
+        image: (kinds == IMAGE) & (widths <= 6), interior: (kinds == IMAGE) & (widths > 6), range_rows: kinds == RANGE,
+        ground_rows: kinds == GROUND, surface_rows: kinds == SURFACE, stereo_rows: kinds == STEREO,
     }  # fmt: skip
-    needed = [loop if wanted else None for loop, wanted in used.items()]
+    needed = [loop if wanted.any() else None for loop, wanted in used.items()]
     needed += [_LOSS_LOOPS[HUBER], _LOSS_LOOPS[model.loss]] if model.loss != NO_LOSS else [None, None]
     return Loops(*(0 if loop is None else place_of_loop(loop) for loop in needed))
 

@@ -190,6 +190,7 @@ def design_part(rows, groups, target, model, task, count, scratch, joint, values
 _REPORTS = {
     COVARIANCES: covariances_part, RELIABILITY: covariances_part, RESIDUALS: residuals_part, DESIGN: design_part
 }  # fmt: skip
+"""By task; all take the same arguments, for the sweep calls whichever it is given."""
 
 
 @kernel
